@@ -9,9 +9,10 @@ mod problem;
 use std::sync::Arc;
 
 use eddy_cuda::{
-    frame::{Inference, Settings, Streams},
+    frame::{Inference, Streams},
     gpu::{Gpu, Precision},
     kernels::Constants,
+    training::Settings,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp, clock::Clock};
 use eddy_inference::{

@@ -11,8 +11,9 @@ use std::sync::Arc;
 use eddy_cuda::{
     CudaError,
     device::Device,
-    frame::{GROUP, Place, Settings, Training},
+    frame::{Place, Training},
     gpu::{Gpu, Precision, list},
+    training::{GROUP, InTraining as _, Settings},
 };
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::clock::Clock;

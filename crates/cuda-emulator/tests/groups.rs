@@ -6,7 +6,7 @@ mod problem;
 
 use std::sync::Arc;
 
-use eddy_cuda::frame::{Outcome, Settings};
+use eddy_cuda::training::{InTraining as _, Outcome, Settings};
 use eddy_cuda_emulator::Emulator;
 use eddy_inference::checkpoint::{Core, Sizes};
 use problem::{Problem, train_together, worst};

@@ -6,7 +6,7 @@ mod problem;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use eddy_cuda::frame::{Outcome, Settings};
+use eddy_cuda::training::{InTraining as _, Outcome, Settings};
 use eddy_cuda_emulator::Emulator;
 use eddy_inference::checkpoint::{Core, Pooling, Sizes, Weights};
 use problem::{Problem, Result, worst};

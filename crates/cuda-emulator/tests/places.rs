@@ -6,7 +6,10 @@ mod problem;
 
 use std::sync::Arc;
 
-use eddy_cuda::frame::{Place, Settings};
+use eddy_cuda::{
+    frame::Place,
+    training::{InTraining as _, Settings},
+};
 use eddy_cuda_emulator::Emulator;
 use eddy_inference::checkpoint::{Core, Sizes};
 use problem::Problem;

@@ -6,7 +6,7 @@ mod problem;
 
 use std::sync::Arc;
 
-use eddy_cuda::frame::Settings;
+use eddy_cuda::training::{InTraining as _, Settings};
 use eddy_cuda_emulator::Emulator;
 use eddy_inference::checkpoint::{Activation, Core, Sizes};
 use problem::{Problem, worst};

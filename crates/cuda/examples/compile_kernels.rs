@@ -51,12 +51,21 @@ fn main() -> Result<(), Box<dyn Error>> {
         Ok((name, Box::new(constants) as Box<dyn Program>))
     });
     let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
+    let learning = Core::ALL.map(|core| (core, 16, 24)).into_iter().chain([(Core::Lstm, 64, 128)]);
+    let learning = learning.map(|(core, encoder, hidden)| {
+        let sizes = Sizes { encoder, hidden, layers: 1, particles: None };
+        let description = Description::untrained(Architecture::Particle, core, sizes);
+        let constants = particle::TrainingConstants::of(&description)?;
+        let name = format!("training-{}-{hidden}", core.name());
+        Ok((name, Box::new(constants) as Box<dyn Program>))
+    });
+    let learning = learning.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
     let solver = ("solver".to_owned(), Box::new(solver::Constants) as Box<dyn Program>);
     let dense = Activation::ALL.map(|activation| {
         let constants = dense::Constants { width: 200, activation };
         (format!("dense-{}", activation.name()), Box::new(constants) as Box<dyn Program>)
     });
-    for (name, program) in frame.chain(particle).chain([solver]).chain(dense) {
+    for (name, program) in frame.chain(particle).chain(learning).chain([solver]).chain(dense) {
         for &capability in &capabilities {
             for (target, extension) in
                 [(Target::Ptx(capability), "ptx"), (Target::Machine(capability), "cubin")]

@@ -3,7 +3,7 @@
 //! 1. [`device`]: what the networks need of a device; [`gpu`] is one; tests have another, that of the
 //!    crate `eddy-cuda-emulator`.
 //! 2. [`kernels`]: the kernels' text and the constants they are compiled for.
-//! 3. [`frame`]: the frame model. [`particle`]: the particle model. [`dense`]: the small network of the comparison of
+//! 3. [`training`]: what trainings share. [`frame`]: the frame model. [`particle`]: the particle model. [`dense`]: the small network of the comparison of
 //!    activations. [`solver`]: the MPM solver.
 //!
 //! No CUDA toolkit is needed to build: the driver, NVRTC and cuBLASLt are loaded at run time.
@@ -15,6 +15,7 @@ pub mod gpu;
 pub mod kernels;
 pub mod particle;
 pub mod solver;
+pub mod training;
 
 mod error;
 mod graphs;

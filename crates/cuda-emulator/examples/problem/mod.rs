@@ -4,8 +4,9 @@ use std::{collections::BTreeMap, error::Error, sync::Arc};
 
 use eddy_cuda::{
     device::Device,
-    frame::{Batch, Outcome, Place, Settings, Store, StoreWriter, Training, Window},
+    frame::{Place, Store, StoreWriter, Training},
     kernels::Constants,
+    training::{Batch, InTraining as _, Outcome, Settings, Window},
 };
 use eddy_inference::checkpoint::{
     Architecture, Core, Description, MaterialInput, Pooling, Sizes, Weights, initial_weights,

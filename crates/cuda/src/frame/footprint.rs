@@ -1,26 +1,16 @@
 //! The memory that a training needs, before any of it is taken.
 
-#![expect(unsafe_code, reason = "memory that is counted only")]
-
-use std::{
-    collections::BTreeMap,
-    sync::{
-        Arc,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::Description;
 
-use super::{Inference, Place, Settings, Store, StoreWriter, Training};
+use super::{Inference, Place, Store, StoreWriter, Training};
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
+    device::Device,
     error::{CudaError, Result},
-    kernels::{Constants, Kernel},
+    kernels::Constants,
+    training::{Counter, LIBRARIES, Settings},
 };
-
-/// Memory that the libraries take for themselves, with the workspaces of products (bytes).
-const LIBRARIES: u64 = 256 << 20;
 
 /// Memory of a device for steps of the largest of several stages, the network for validation, and streams of so many frames
 /// in all that lie in this place (bytes).
@@ -39,11 +29,11 @@ pub fn bytes(
     store.stream(&vec![0; particles]);
     let store = Arc::new(store.finish()?);
     Inference::new(counter.clone(), description, &BTreeMap::new())?;
-    let common = counter.taken.swap(0, Ordering::Relaxed);
+    let common = counter.take();
     let mut largest = 0;
     for settings in stages {
         Training::new(counter.clone(), store.clone(), description, settings)?;
-        largest = largest.max(counter.taken.swap(0, Ordering::Relaxed));
+        largest = largest.max(counter.take());
     }
     Ok(common + largest + LIBRARIES)
 }
@@ -80,59 +70,6 @@ pub fn place(
     Ok(Place::Host)
 }
 
-/// A device that counts what is allocated, and does nothing else.
-#[derive(Default)]
-struct Counter {
-    taken: AtomicU64,
-    free: u64,
-}
-
-impl Device for Counter {
-    fn allocate(&self, bytes: usize) -> Result<Buffer> {
-        self.taken.fetch_add(bytes as u64, Ordering::Relaxed);
-        // SAFETY: this device never uses its memory.
-        Ok(unsafe { Buffer::new(Address::NULL, bytes, ()) })
-    }
-
-    /// Nothing of the device.
-    fn allocate_host(&self, _: usize) -> Result<HostBuffer> {
-        // SAFETY: an empty buffer is nowhere.
-        Ok(unsafe { HostBuffer::new(Address::NULL, 0, ()) })
-    }
-
-    fn rounds_to_tf32(&self) -> bool {
-        false
-    }
-
-    fn free_memory(&self) -> Result<u64> {
-        Ok(self.free)
-    }
-
-    fn write(&self, _: &Buffer, _: usize, _: &[u8]) -> Result<()> {
-        Ok(())
-    }
-
-    fn read(&self, _: &Buffer, _: usize, _: &mut [u8]) -> Result<()> {
-        Ok(())
-    }
-
-    fn copy(&self, _: &Buffer, _: &Buffer) -> Result<()> {
-        Ok(())
-    }
-
-    fn clear(&self, _: Queue, _: &Buffer) -> Result<()> {
-        Ok(())
-    }
-
-    unsafe fn launch(&self, _: Queue, _: Kernel, _: Shape, _: &[Argument]) -> Result<()> {
-        Ok(())
-    }
-
-    unsafe fn multiply(&self, _: Queue, _: &Product) -> Result<()> {
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,7 +93,7 @@ mod tests {
         assert!(more > needed + 16 * 2500 * 512, "{more} after {needed}");
 
         let free = needed + (64 << 20);
-        let device = Counter { free, ..Counter::default() };
+        let device = Counter::with_free(free);
         let place = |batch, frames| {
             let stages = [settings(256), settings(batch)];
             place(&device, 1, &description, &stages, frames, 5 << 30)

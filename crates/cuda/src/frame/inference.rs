@@ -13,18 +13,14 @@ use eddy_inference::{
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
-use super::{
-    Training,
-    layout::{Layout, Matrix},
-    maximum::Points,
-    stream::Memory,
-};
+use super::{layout::Layout, maximum::Points, stream::Memory};
 use crate::{
     device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Shape},
     error::Result,
     graphs::Graphs,
     kernels::{AXES, Constants, Kernel, motion, scaling},
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
+    training::{InTraining, Matrix},
 };
 
 /// Streams of a step.
@@ -99,11 +95,15 @@ impl Inference {
         let (core, particles, wide) =
             (description.core, constants.particles, constants.hidden_columns());
         let numbers = |count: usize| device.allocate(4 * count);
-        let parts = layout.matrices().map(|matrix| matrix.rows.div_ceil(PART) * matrix.columns);
+        let parts = layout
+            .packing
+            .matrices()
+            .iter()
+            .map(|matrix| matrix.rows.div_ceil(PART) * matrix.columns);
         let parts = MOST_STREAMS * parts.max().unwrap_or_default();
         let recurrent = layout.core.iter().any(|(_, recurrent)| recurrent.is_some());
         let inference = Self {
-            weights: numbers(layout.size)?,
+            weights: numbers(layout.packing.size)?,
             scaling: numbers(2 * BODY)?,
             rows: numbers(MOST_STREAMS * 6)?,
             frames: numbers(MOST_STREAMS * particles * BODY)?,
@@ -417,9 +417,9 @@ impl Streams {
     ///
     /// # Panics
     /// With a training of another network.
-    pub fn copy_weights(&self, training: &Training) -> Result<()> {
+    pub fn copy_weights(&self, training: &dyn InTraining) -> Result<()> {
         self.alone(|inference| {
-            inference.device.copy(&inference.weights, training.averaged_weights())
+            inference.device.copy(&inference.weights, training.optimizer().averaged_weights())
         })
     }
 }

@@ -4,9 +4,8 @@ use crate::{
     device::{Address, Buffer, Device, Factor, Product, Shape},
     error::Result,
     kernels::{Constants, round_up},
+    training::Matrix,
 };
-
-use super::layout::Matrix;
 
 /// Particles of a block, `POINT_TILE` of the kernels.
 const TILE: usize = 16;

@@ -1,7 +1,7 @@
 //! The frame model on a device.
 //!
 //! 1. `layout`: where its tensors are.
-//! 2. `data`: trajectories on the device or in the memory of the host, windows of them.
+//! 2. `data`: trajectories on the device or in the memory of the host.
 //! 3. `training`: training steps.
 //! 4. `stream`: what is remembered of a stream. `inference`: streams, frame by frame.
 //! 5. `maximum`: the pooling by the maximum.
@@ -15,7 +15,7 @@ mod maximum;
 mod stream;
 mod training;
 
-pub use data::{Place, Store, StoreWriter, Window};
+pub use data::{Place, Store, StoreWriter};
 pub use inference::{Inference, MOST_STREAMS, Streams};
-pub use layout::{Layout, Matrix};
-pub use training::{Batch, GROUP, Outcome, Settings, Training};
+pub use layout::Layout;
+pub use training::Training;

@@ -4,9 +4,8 @@
 //! before; the backward pass takes these frames in the reverse order. Gradients by the weights are products over the
 //! rows of all frames, made once the first frames' gradients are there.
 //!
-//! 1. `settings`: what a step is made of, and what comes of it.
-//! 2. `forward`, `maximum`, `backward`, `update`: its phases.
-//! 3. `launch`: launches and products that they share.
+//! 1. `forward`, `maximum`, `backward`, `update`: its phases.
+//! 2. `launch`: launches and products that they share.
 
 #![expect(unsafe_code, reason = "launches and products on memory of the device")]
 
@@ -14,35 +13,29 @@ mod backward;
 mod forward;
 mod launch;
 mod maximum;
-mod settings;
 mod update;
-
-pub use settings::{Batch, Outcome, Settings};
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::{Core, Description, Weights};
 
 use super::{
-    data::{Bodies, Store, key},
+    data::{Bodies, Store},
     layout::Layout,
 };
 use crate::{
-    device::{Buffer, Device, MOST_BLOCKS, Queue, Shape},
+    device::{Buffer, Device, MOST_BLOCKS, Queue},
     error::{CudaError, Result},
     graphs::Graphs,
     kernels::{AXES, Constants, Kernel, MATERIALS, gates, motion, scaling},
+    training::{Batch, GROUP, InTraining, Optimizer, Settings, Tables},
 };
 use maximum::Maximum;
 
-/// Steps whose tables fit on the device at once.
-pub const GROUP: usize = 64;
 /// Numbers of a body.
 const BODY: usize = 2 * AXES;
 /// Sums of the encoder for each of its units, `SUMS` of the kernels.
 const SUMS: usize = BODY + MATERIALS + 1;
-/// Parts of a sum of squares.
-const CHUNKS: usize = 256;
 /// Nodes an axis of a density map that fit into shared memory.
 const MOST_NODES: usize = 110;
 
@@ -93,19 +86,8 @@ pub struct Training {
     /// Blocks that share the particles of a window.
     chunks: usize,
 
-    weights: Buffer,
-    gradients: Buffer,
-    first: Buffer,
-    second: Buffer,
-    average: Option<Buffer>,
-
-    windows: Buffer,
-    schedule: Buffer,
-    progress: Buffer,
-    outcomes: Buffer,
-    /// Losses to be averaged over the devices.
-    losses: Buffer,
-    error_weights: Buffer,
+    optimizer: Optimizer,
+    tables: Tables,
     scaling: Buffer,
 
     states: Buffer,
@@ -125,9 +107,6 @@ pub struct Training {
     d_mixed: Buffer,
     d_input: Buffer,
     d_pooled: Buffer,
-    tensor_squares: Buffer,
-    tensor_scales: Buffer,
-    tensor_totals: Buffer,
 
     graph: Graphs<()>,
 }
@@ -206,19 +185,8 @@ impl Training {
         };
         let training = Self {
             staging,
-            weights: numbers(layout.size)?,
-            gradients: numbers(layout.size)?,
-            first: numbers(layout.size)?,
-            second: numbers(layout.size)?,
-            average: optional(settings.average, layout.size)?,
-            windows: numbers(GROUP * batch * 14)?,
-            schedule: numbers(GROUP * 12)?,
-            progress: numbers(1)?,
-            outcomes: numbers(GROUP * 4)?,
-            losses: numbers(GROUP)?,
-            error_weights: numbers(
-                if settings.relative { GROUP } else { 1 } * unroll * batch * MATERIALS * BODY,
-            )?,
+            optimizer: Optimizer::new(&device, &layout.packing, settings)?,
+            tables: Tables::new(&device, settings, settings.relative)?,
             scaling: numbers(2 * BODY)?,
             states: numbers(rows * particles * BODY)?,
             sums: numbers(if constants.mean() {
@@ -243,9 +211,6 @@ impl Training {
             d_mixed: numbers(decoded_rows * wide)?,
             d_input: numbers(rows * constants.input_columns())?,
             d_pooled: numbers(rows * constants.pooled_columns())?,
-            tensor_squares: numbers(layout.tensors * CHUNKS)?,
-            tensor_scales: numbers(layout.tensors)?,
-            tensor_totals: numbers(layout.tensors)?,
             graph: Graphs::new(1),
             motion: motion(description),
             sides: description.domain.lower[0] + description.domain.upper[0],
@@ -262,146 +227,43 @@ impl Training {
         Ok(training)
     }
 
-    /// Puts the weights of a checkpoint onto the device.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
-        self.device.write(&self.weights, 0, bytemuck::cast_slice(&self.layout.pack(tensors)))
-    }
-
-    /// Puts what Adam remembers of each tensor onto the device: first and second moments and the weights' running
-    /// average, in the order of checkpoints' layers, matrices as `[in, out]`; empty before a tensor's first step.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn set_moments<'a>(&self, moments: impl IntoIterator<Item = [&'a [f32]; 3]>) -> Result<()> {
-        let moments: Vec<_> = moments.into_iter().collect();
-        let buffers = [Some(&self.first), Some(&self.second), self.average.as_ref()];
-        for (number, buffer) in buffers.into_iter().enumerate() {
-            if let Some(buffer) = buffer {
-                let all = self.layout.pack_ordered(moments.iter().map(|tensor| tensor[number]));
-                self.device.write(buffer, 0, bytemuck::cast_slice(&all))?;
-            }
-        }
-        Ok(())
-    }
-
-    /// The weights in the order of checkpoints' layers, matrices as `[in, out]`, and the same of the first and second
-    /// moments and the running average; that is empty where none is kept.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn state(&self) -> Result<[Vec<Vec<f32>>; 4]> {
-        let ordered = |buffer: Option<&Buffer>| match buffer {
-            Some(buffer) => Ok(self.layout.unpack_ordered(&self.numbers(buffer)?)),
-            None => Ok(vec![Vec::new(); self.layout.tensors]),
-        };
-        let [weights, first, second] = [&self.weights, &self.first, &self.second];
-        Ok([
-            ordered(Some(weights))?,
-            ordered(Some(first))?,
-            ordered(Some(second))?,
-            ordered(self.average.as_ref())?,
-        ])
-    }
-
     /// Sets weights of squared errors of x, y, vx, vy that hold for all batches, the same for every frame, window and
     /// material.
     ///
     /// # Errors
     /// [`CudaError::Call`].
     pub fn set_error_weights(&self, weights: [f32; 4]) -> Result<()> {
-        let all = vec![weights; self.settings.unroll * self.settings.batch * MATERIALS];
-        self.device.write(&self.error_weights, 0, bytemuck::cast_slice(&all))
+        self.tables.set_error_weights(weights)
+    }
+}
+
+impl InTraining for Training {
+    fn optimizer(&self) -> &Optimizer {
+        &self.optimizer
     }
 
-    /// The weights as a checkpoint has them.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn weights(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(&self.weights)
+    fn tables(&self) -> &Tables {
+        &self.tables
     }
 
-    /// The running average of the weights; the weights themselves where none is kept.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn average(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(self.averaged_weights())
+    fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
+        self.optimizer.write_weights(&self.layout.pack(tensors))
     }
 
-    /// The gradient of the last step, before any tensor of it was shortened.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn gradients(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(&self.gradients)
-    }
-
-    /// The running average where it lies on the device; the weights themselves where none is kept.
-    pub(super) fn averaged_weights(&self) -> &Buffer {
-        self.average.as_ref().unwrap_or(&self.weights)
-    }
-
-    fn read(&self, buffer: &Buffer) -> Result<BTreeMap<String, Weights>> {
-        Ok(self.layout.unpack(&self.numbers(buffer)?))
-    }
-
-    fn numbers(&self, buffer: &Buffer) -> Result<Vec<f32>> {
-        let mut all = vec![0f32; self.layout.size];
-        self.device.read(buffer, 0, bytemuck::cast_slice_mut(&mut all))?;
-        Ok(all)
-    }
-
-    /// Starts up to [`GROUP`] steps; [`Self::outcomes`] waits for them.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    ///
-    /// # Panics
-    /// With more steps, or with batches of another size than the settings say.
-    pub fn start(&mut self, batches: &[Batch]) -> Result<()> {
-        assert!(batches.len() <= GROUP, "{} steps, at most {GROUP}", batches.len());
-        let (mut windows, mut schedule) = (Vec::new(), Vec::new());
-        let mut sources = vec![batches.len() as u64];
+    fn start(&mut self, batches: &[Batch]) -> Result<()> {
         let frames = self.settings.warm_up + self.settings.unroll;
-        for (step, batch) in batches.iter().enumerate() {
-            assert_eq!(batch.windows.len(), self.settings.batch, "windows of a batch");
-            assert!(
-                batch.windows.iter().all(|window| self.store.contains(window, frames)),
-                "windows within their streams"
-            );
-            let weights = batch.weights.as_ref().map(Vec::len);
-            let expected = self
-                .settings
-                .relative
-                .then_some(self.settings.unroll * self.settings.batch * MATERIALS);
-            assert_eq!(weights, expected, "weights of a batch");
-            for (number, window) in batch.windows.iter().enumerate() {
-                let first = self.store.first(window);
+        let mut sources = vec![batches.len() as u64];
+        for window in batches.iter().flat_map(|batch| &batch.windows) {
+            assert!(self.store.contains(window, frames), "windows within their streams");
+            sources.push(self.store.first(window));
+        }
+        self.tables.write(batches, |step, number, window| match &self.staging {
+            None => self.store.first(window),
+            Some(_) => {
                 let place = step % 2 * self.settings.batch + number;
-                let staged = (place * frames * self.constants.particles) as u64;
-                windows.extend(window.words(self.staging.as_ref().map_or(first, |_| staged)));
-                sources.push(first);
+                (place * frames * self.constants.particles) as u64
             }
-            schedule.extend([batch.rate, batch.correction, batch.kept].map(f32::to_bits));
-            schedule.push(0);
-            schedule.extend(key(batch.dropout));
-        }
-        self.device.write(&self.windows, 0, bytemuck::cast_slice(&windows))?;
-        self.device.write(&self.schedule, 0, bytemuck::cast_slice(&schedule))?;
-        self.device.write(&self.progress, 0, bytemuck::cast_slice(&[0u32]))?;
-        if batches.iter().any(|batch| batch.weights.is_some()) {
-            let all: Vec<_> = batches
-                .iter()
-                .filter_map(|batch| batch.weights.as_deref())
-                .flatten()
-                .copied()
-                .collect();
-            self.device.write(&self.error_weights, 0, bytemuck::cast_slice(&all))?;
-        }
+        })?;
         if let Some(staging) = &self.staging {
             self.device.write(&staging.sources, 0, bytemuck::cast_slice(&sources))?;
             self.fetch(Queue::Main, 0)?;
@@ -410,38 +272,6 @@ impl Training {
             self.graph.run(&*self.device, (), || self.step())?;
         }
         Ok(())
-    }
-
-    /// Means over the devices that train together, which all call this with as many numbers, at most [`GROUP`].
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn average_over_devices(&self, numbers: &mut [f32]) -> Result<()> {
-        if self.device.rank().count == 1 {
-            return Ok(());
-        }
-        self.device.write(&self.losses, 0, bytemuck::cast_slice(numbers))?;
-        // SAFETY: `write` has checked the length.
-        unsafe { self.device.average(Queue::Main, self.losses.address(), numbers.len()) }?;
-        self.device.read(&self.losses, 0, bytemuck::cast_slice_mut(numbers))
-    }
-
-    /// What came of the steps started last, for the whole batch.
-    ///
-    /// # Errors
-    /// [`CudaError::Call`].
-    pub fn outcomes(&self, steps: usize) -> Result<Vec<Outcome>> {
-        assert!(steps <= GROUP, "{steps} steps, at most {GROUP}");
-        let mut words = vec![[0u32; 4]; steps];
-        self.device.read(&self.outcomes, 0, bytemuck::cast_slice_mut(&mut words))?;
-        let mut losses: Vec<_> = words.iter().map(|&[loss, ..]| f32::from_bits(loss)).collect();
-        self.average_over_devices(&mut losses)?;
-        let outcome = |(&[_, norm, not_finite, _], loss): (&[u32; 4], f32)| Outcome {
-            loss,
-            gradient_norm: f32::from_bits(norm),
-            not_finite: not_finite != 0,
-        };
-        Ok(words.iter().zip(losses).map(outcome).collect())
     }
 }
 
@@ -459,8 +289,8 @@ impl Training {
             self.particles(warm_up),
             &[
                 self.bodies().into(),
-                self.windows.address().into(),
-                self.progress.address().into(),
+                self.tables.windows.address().into(),
+                self.tables.progress.address().into(),
                 self.states.address().into(),
                 batch.into(),
                 self.sides.into(),
@@ -472,8 +302,8 @@ impl Training {
                 Kernel::Disturb,
                 self.particles(1),
                 &[
-                    self.windows.address().into(),
-                    self.progress.address().into(),
+                    self.tables.windows.address().into(),
+                    self.tables.progress.address().into(),
                     self.at(&self.states, warm_up - 1, self.constants.particles * BODY).into(),
                     positions.into(),
                     velocities.into(),
@@ -497,16 +327,7 @@ impl Training {
         if self.staging.is_some() {
             self.device.wait(Queue::Main, Queue::Fetch)?;
         }
-        self.launch(
-            Kernel::Finish,
-            Shape::new(1, 1, 256),
-            &[
-                self.tensor_totals.address().into(),
-                self.layout.tensors.into(),
-                self.progress.address().into(),
-                self.outcomes.address().into(),
-            ],
-        )
+        self.optimizer.finish(&self.tables)
     }
 }
 

@@ -13,11 +13,13 @@ use crate::error::{CudaError, Result};
 pub const SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
+    include_str!("observed.cu"),
     include_str!("windows.cu"),
     include_str!("motion.cu"),
     include_str!("encoder.cu"),
     include_str!("cells.cu"),
     include_str!("loss.cu"),
+    include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
     include_str!("inference.cu"),
     include_str!("maximum.cu"),
@@ -30,6 +32,23 @@ pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
+);
+
+/// The kernels of the particle model and of its training, as one text.
+pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
+    include_str!("base.cu"),
+    include_str!("common.cu"),
+    include_str!("particle_nodes.cu"),
+    include_str!("particle_layers.cu"),
+    include_str!("particle_rules.cu"),
+    include_str!("observed.cu"),
+    include_str!("batch_loss.cu"),
+    include_str!("adam.cu"),
+    include_str!("particle_training/plan.cu"),
+    include_str!("particle_training/cells.cu"),
+    include_str!("particle_training/layers.cu"),
+    include_str!("particle_training/particles.cu"),
+    include_str!("particle_training/gradients.cu"),
 );
 
 /// The kernels of the solver, as one text.
@@ -220,6 +239,40 @@ kernels! {
     ParticleBodiesRest = "particle_bodies_rest",
     /// Predictions, to the memory of the host.
     ParticleStore = "particle_store",
+    /// Training of the particle model: observed frames out of the trajectories, with noise.
+    TrainObserve = "train_observe",
+    /// Cells and nodes.
+    TrainCells = "train_cells",
+    /// Features and encoder.
+    TrainEncode = "train_encode",
+    /// Sums of particles on nodes.
+    TrainToNodes = "train_to_nodes",
+    /// A layer on nodes, in either direction.
+    TrainLayer = "train_layer",
+    /// Gather from nodes, core, decoder.
+    TrainDecode = "train_decode",
+    /// Predicted frames and their squared errors.
+    TrainAdvance = "train_advance",
+    /// Matrices for the way back.
+    TrainTurn = "train_turn",
+    /// Gradient by the decoder's output.
+    TrainOutputGradient = "train_output_gradient",
+    /// Through decoder and core.
+    TrainDecodeGradient = "train_decode_gradient",
+    /// By the nodes that particles gather from.
+    TrainGatherGradient = "train_gather_gradient",
+    /// By the sums of particles on nodes.
+    TrainMeansGradient = "train_means_gradient",
+    /// Through encoder and features.
+    TrainEncodeGradient = "train_encode_gradient",
+    /// Through strain and bend.
+    TrainShapeGradient = "train_shape_gradient",
+    /// Gradient by a matrix, for each window.
+    TrainOuter = "train_outer",
+    /// Windows whose gradient is not finite.
+    TrainFinite = "train_finite",
+    /// Gradients by all weights.
+    TrainSum = "train_sum",
     /// Solver: particles from the memory of the host.
     SolverLoad = "solver_load",
     /// The same way back.

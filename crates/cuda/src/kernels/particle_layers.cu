@@ -47,33 +47,43 @@ __device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], 
       }
   }
 }
-// A linear layer on the rows of a tile in shared memory, with ReLU if `rectified`.
-__device__ __forceinline__ void tile_linear(const float* x, int x_stride, float* y, int y_stride, const float* __restrict__ w, int inner,
-    int outputs, bool rectified) {
-  for (int item = threadIdx.x; item < TILE / ROWS * (outputs / 4); item += THREADS) {
-    const int row = item % (TILE / ROWS), column = item / (TILE / ROWS) * 4;
+// A linear layer on the rows of a tile in shared memory, with ReLU if `rectified`; the bias is behind the matrix.
+template <int TILE_ROWS, bool BIASED> __device__ __forceinline__ void tile_product(const float* x, int x_stride, float* y, int y_stride,
+    const float* __restrict__ w, int inner, int outputs, bool rectified) {
+  constexpr int apart = TILE_ROWS / ROWS;
+  for (int item = threadIdx.x; item < apart * (outputs / 4); item += THREADS) {
+    const int row = item % apart, column = item / apart * 4;
     float sums[1][ROWS][4];
 #pragma unroll
-    for (int r = 0; r < ROWS; r++) load_units<4>(w + (size_t)inner * outputs + column, sums[0][r]);
-    add_products<1, 1, 4, -1>(sums, x + row * x_stride, TILE / ROWS * x_stride, w + column, outputs, 0, inner);
+    for (int r = 0; r < ROWS; r++) {
+      if constexpr (BIASED) load_units<4>(w + (size_t)inner * outputs + column, sums[0][r]);
+      else
+        for (int u = 0; u < 4; u++) sums[0][r][u] = 0.0f;
+    }
+    add_products<1, 1, 4, -1>(sums, x + row * x_stride, apart * x_stride, w + column, outputs, 0, inner);
 #pragma unroll
     for (int r = 0; r < ROWS; r++)
 #pragma unroll
       for (int u = 0; u < 4; u++) {
         const float sum = sums[0][r][u];
-        y[(row + r * (TILE / ROWS)) * y_stride + column + u] = rectified && sum < 0.0f ? 0.0f : sum;
+        y[(row + r * apart) * y_stride + column + u] = rectified && sum < 0.0f ? 0.0f : sum;
       }
   }
 }
+__device__ __forceinline__ void tile_linear(const float* x, int x_stride, float* y, int y_stride, const float* __restrict__ w, int inner,
+    int outputs, bool rectified) {
+  tile_product<TILE, true>(x, x_stride, y, y_stride, w, inner, outputs, rectified);
+}
 
-// The ballistic step of a particle on an axis (`Ballistic::step`); `free` is its velocity without walls.
-struct Fall { float x, v, free; };
-__device__ __forceinline__ Fall ballistic(const Stream& s, const Body& body, int axis) {
+// The ballistic step of a particle on an axis (`Ballistic::step`); `free` is its velocity without walls, which stop it unless it
+// `moves`.
+struct Fall { float x, v, free; bool moves; };
+template <class S> __device__ __forceinline__ Fall ballistic(const S& s, const Body& body, int axis) {
   const float free = body.v[axis] + s.fall[axis], mean = multiply_rounded(0.5f, body.v[axis] + free);
   const float to = body.x[axis] + multiply_rounded(mean, s.dt);
   const float raised = to > s.wall_lower[axis] ? to : s.wall_lower[axis];
   const float clamped = raised < s.wall_upper[axis] ? raised : s.wall_upper[axis];
-  return {clamped, clamped == to ? free : 0.0f, free};
+  return {clamped, clamped == to ? free : 0.0f, free, clamped == to};
 }
 
 __device__ __forceinline__ float exponential(float x) { return exp2_approximate(LOG2E * x); }
@@ -86,30 +96,39 @@ __device__ __forceinline__ float exponential(float x) { return exp2_approximate(
 #define SHAPE_LIMIT 4.0f
 #define SHAPE_FEATURES 5
 
-// Strain and bend of a particle (`RestShape::shape_of`).
-__device__ __forceinline__ void rest_shape(const Stream& s, u32 p, const Body& body, float* shape) {
-  for (int i = 0; i < SHAPE_FEATURES; i++) shape[i] = 0.0f;
-  if (!s.first) return;
-  const u32 begin = s.first[p], end = s.first[p + 1];
-  if (begin == end) return;
-  float f[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, bend[2] = {0.0f, 0.0f};
+// Deformation gradient and bend of a particle with these links (`deformation`).
+struct Deformation { float f[2][2], bend[2]; };
+__device__ __forceinline__ Deformation deformation(const Link* links, u32 begin, u32 end, const Body* bodies, const Body& body) {
+  Deformation d = {{{0.0f, 0.0f}, {0.0f, 0.0f}}, {0.0f, 0.0f}};
 #pragma unroll 4
   for (u32 i = begin; i < end; i++) {
-    const Link link = s.links[i];
-    const Body other = s.bodies[link.particle];
+    const Link link = links[i];
+    const Body other = bodies[link.particle];
 #pragma unroll
     for (int a = 0; a < 2; a++) {
       const float apart = other.x[a] - body.x[a];
-      f[a][0] = fmaf(apart, link.coefficient[0], f[a][0]);
-      f[a][1] = fmaf(apart, link.coefficient[1], f[a][1]);
-      bend[a] = fmaf(apart, link.share, bend[a]);
+      d.f[a][0] = fmaf(apart, link.coefficient[0], d.f[a][0]);
+      d.f[a][1] = fmaf(apart, link.coefficient[1], d.f[a][1]);
+      d.bend[a] = fmaf(apart, link.share, d.bend[a]);
     }
   }
-  shape[0] = STRAIN_SCALE * (f[0][0] * f[0][0] + f[0][1] * f[0][1] - 1.0f);
-  shape[1] = STRAIN_SCALE * (f[1][0] * f[1][0] + f[1][1] * f[1][1] - 1.0f);
-  shape[2] = STRAIN_SCALE * (f[0][0] * f[1][0] + f[0][1] * f[1][1]);
-  shape[3] = BEND_SCALE * bend[0];
-  shape[4] = BEND_SCALE * bend[1];
+  return d;
+}
+// Strain and bend before they are limited.
+__device__ __forceinline__ void scaled_shape(const Deformation& d, float* shape) {
+  shape[0] = STRAIN_SCALE * (d.f[0][0] * d.f[0][0] + d.f[0][1] * d.f[0][1] - 1.0f);
+  shape[1] = STRAIN_SCALE * (d.f[1][0] * d.f[1][0] + d.f[1][1] * d.f[1][1] - 1.0f);
+  shape[2] = STRAIN_SCALE * (d.f[0][0] * d.f[1][0] + d.f[0][1] * d.f[1][1]);
+  shape[3] = BEND_SCALE * d.bend[0];
+  shape[4] = BEND_SCALE * d.bend[1];
+}
+// Strain and bend of a particle (`RestShape::shape_of`); `first` is nowhere if no particle has links.
+__device__ __forceinline__ void rest_shape(const u32* first, const Link* links, const Body* bodies, u32 p, const Body& body, float* shape) {
+  for (int i = 0; i < SHAPE_FEATURES; i++) shape[i] = 0.0f;
+  if (!first) return;
+  const u32 begin = first[p], end = first[p + 1];
+  if (begin == end) return;
+  scaled_shape(deformation(links, begin, end, bodies, body), shape);
   for (int i = 0; i < SHAPE_FEATURES; i++) {
     const float raised = shape[i] < -SHAPE_LIMIT ? -SHAPE_LIMIT : shape[i];
     shape[i] = raised > SHAPE_LIMIT ? SHAPE_LIMIT : raised;
@@ -148,7 +167,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stre
           own[10 + 2 * side + a] = exponential(distance * (-1.0f / BODY_SCALE));
         }
       }
-      rest_shape(s, p, body, own + 14);
+      rest_shape(s.first, s.links, s.bodies, p, body, own + 14);
       own[14 + SHAPE_FEATURES + s.material[p]] = 1.0f;
     }
     __syncthreads();
@@ -331,6 +350,14 @@ __device__ __forceinline__ float positive_candidate(float c) {
   return c > 0.0f ? c + 0.5f : sigmoid(c);
 #else
   return c;
+#endif
+}
+__device__ __forceinline__ float positive_slope(float c) {
+#if LOG_FORM
+  const float s = sigmoid(c);
+  return c >= 0.0f ? 1.0f : s * (1.0f - s);
+#else
+  return 1.0f;
 #endif
 }
 #if CORE == 0

@@ -89,8 +89,9 @@ struct Stream {
 __device__ __forceinline__ u32 first_thread() { return blockIdx.x * blockDim.x + threadIdx.x; }
 __device__ __forceinline__ u32 all_threads() { return gridDim.x * blockDim.x; }
 
-// Position in the domain (cells); outside of it that of the nearest edge, NaN becomes the lower corner.
-__device__ __forceinline__ float cell_place(const Stream& s, const Body& body, int axis) {
+// Position in the domain (cells) of a stream, or of the windows of a training; outside of it that of the nearest edge, NaN
+// becomes the lower corner.
+template <class S> __device__ __forceinline__ float cell_place(const S& s, const Body& body, int axis) {
   return fminf(fmaxf((body.x[axis] - s.lower[axis]) / s.width, 0.0f), s.extent[axis]);
 }
 // The first node of the stencil on an axis, from there on.

@@ -1,13 +1,5 @@
 // Windows out of the store of trajectories. Frames are [T, B, N]: the windows of a frame side by side.
 
-__device__ __forceinline__ Body mirror(Body body, const Window& window, float sides) {
-  if (window.mirrored) {
-    body.x[0] = sides - body.x[0];
-    body.v[0] = -body.v[0];
-  }
-  return body;
-}
-
 // The windows of the step `ahead` steps from now, out of trajectories in the memory of the host: window b goes to place
 // (step % 2) * B + b of `staged`, while the windows of the step before lie at the other places. `sources` are the number of
 // steps whose windows are known, and for each of their windows its first body. grid at most B, block 256
@@ -32,30 +24,12 @@ extern "C" __global__ void __launch_bounds__(256) observe(const Body* __restrict
   states[(size_t)row * N + p] = mirror(store[window.first + (u64)t * N + p], window, sides);
 }
 
-// Noise on the last observed frame, `states` [B, N]: evenly distributed, of the standard deviations `positions` and
-// `velocities`; word i of a window's generator belongs to its i-th number, positions first. grid (ceil(N / 256), batch),
-// block 256
+// Noise on the last observed frame, `states` [B, N]. grid (ceil(N / 256), batch), block 256
 extern "C" __global__ void __launch_bounds__(256) disturb(const Window* __restrict__ windows, const Progress* __restrict__ progress,
     Body* __restrict__ states, float positions, float velocities) {
   const int p = blockIdx.x * 256 + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
   const Window& window = windows[(size_t)progress->step * batch + b];
   if (p >= N || !window.disturbed) return;
-  Body body = states[(size_t)b * N + p];
-  u32 words[16];
-  u64 block = ~0ull;
-#pragma unroll
-  for (int i = 0; i < FEATURES; i++) {
-    const u64 word = (u64)(i / DIM) * DIM * N + (u64)p * DIM + i % DIM;
-    if (word / 16 != block) {
-      block = word / 16;
-      chacha8(window.key, block, words);
-    }
-    u32 found = 0; // a dynamic index would put the words into local memory
-#pragma unroll
-    for (int w = 0; w < 16; w++) found = (int)(word % 16) == w ? words[w] : found;
-    const float half = 1.7320508f * (i < DIM ? positions : velocities);
-    const float add = half * (2.0f * unit(found) - 1.0f);
-    if (i < DIM) body.x[i] += add; else body.v[i - DIM] += add;
-  }
-  states[(size_t)b * N + p] = body;
+  Body& body = states[(size_t)b * N + p];
+  body = disturbed(body, window, N, p, positions, velocities);
 }

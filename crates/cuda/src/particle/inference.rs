@@ -404,3 +404,23 @@ impl StreamModel for Inference {
 
 /// A particle model on a device, as the streaming engine uses it.
 pub type Streams = crate::streams::Streams<Inference>;
+
+impl Streams {
+    /// Takes other weights of the network: those of a training after some steps.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call).
+    ///
+    /// # Panics
+    /// With tensors of another network.
+    pub fn set_weights(
+        &self,
+        description: &Description,
+        tensors: &BTreeMap<String, Weights>,
+    ) -> Result<()> {
+        self.alone(|inference| {
+            let (_, weights) = Layout::new(description, &inference.constants, tensors);
+            inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))
+        })
+    }
+}

@@ -25,12 +25,12 @@ use crate::{
 /// Threads of a block that computes layers on nodes.
 pub(super) const NODE_THREADS: usize = 256;
 /// Rows that a thread multiplies, `ROWS` of the kernels.
-const ROWS: usize = 4;
+pub(super) const ROWS: usize = 4;
 /// Most threads that share a sum.
-const MOST_PARTS: usize = 8;
+pub(super) const MOST_PARTS: usize = 8;
 /// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
 /// capability 8.0 on (bytes).
-const SHARED: [usize; 2] = [72 << 10, 150 << 10];
+pub(super) const SHARED: [usize; 2] = [72 << 10, 150 << 10];
 
 /// Lists of features at nodes, as in the engine; the level of each.
 pub(super) const FIELD_LEVELS: [usize; 7] = [0, 0, 0, 1, 1, 2, 2];
@@ -84,17 +84,17 @@ pub struct Constants {
 }
 
 /// W rounded up to 4.
-fn four(width: usize) -> usize {
+pub(super) fn four(width: usize) -> usize {
     round_up(width, 4)
 }
 
 /// Length of a row in shared memory: an odd multiple of 4, so that neighbouring rows are in different banks.
-fn odd(width: usize) -> usize {
+pub(super) fn odd(width: usize) -> usize {
     if (width / 4).is_multiple_of(2) { width + 4 } else { width }
 }
 
 /// The largest number of rows for which a block's shared memory is small, else the smallest if it fits at all.
-fn fitting(rows: &[usize], bytes: impl Fn(usize) -> usize) -> Option<usize> {
+pub(super) fn fitting(rows: &[usize], bytes: impl Fn(usize) -> usize) -> Option<usize> {
     let small = rows.iter().copied().find(|&rows| bytes(rows) <= SHARED[0]);
     small.or(rows.last().copied().filter(|&rows| bytes(rows) <= SHARED[1]))
 }
@@ -170,7 +170,7 @@ impl Constants {
     }
 
     /// Rows of the matrix of `context`.
-    fn context_rows(&self) -> usize {
+    pub(super) fn context_rows(&self) -> usize {
         self.feature_columns() + self.encoded_columns()
     }
 

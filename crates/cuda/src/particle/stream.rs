@@ -171,8 +171,7 @@ impl Size {
     /// Of a stream in a domain.
     pub(super) fn new(particles: usize, domain: &Domain, scales: &Scales) -> Self {
         let cells = cells_across(domain, scales.width);
-        // As `kernels/nodes/window.rs` of eddy-inference: the last node has a neighbour at each level.
-        let extent = cells.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4);
+        let extent = map_extent(cells);
         let area = scales.area_width().map_or([0; 2], |width| {
             cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
         });
@@ -263,8 +262,14 @@ impl Size {
     }
 }
 
+/// Columns and rows of the map of level 0 of a domain of this size (cells), as in `kernels/nodes/window.rs` of eddy-inference:
+/// the last node has a neighbour at each level.
+pub(super) fn map_extent(cells: [f32; 2]) -> [usize; 2] {
+    cells.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4)
+}
+
 /// The size of a domain (cells).
-fn cells_across(domain: &Domain, width: f32) -> [f32; 2] {
+pub(super) fn cells_across(domain: &Domain, width: f32) -> [f32; 2] {
     [0, 1].map(|axis| (domain.upper[axis] - domain.lower[axis]) / width)
 }
 

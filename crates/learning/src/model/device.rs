@@ -37,7 +37,7 @@ pub enum DeviceKind {
     /// The best GPU that Vulkan finds.
     #[cfg(feature = "vulkan")]
     Vulkan,
-    /// An NVIDIA GPU by its number, below [`MOST_GPUS`]; frame models only.
+    /// An NVIDIA GPU by its number, below [`MOST_GPUS`].
     #[cfg(feature = "cuda")]
     Cuda(u8),
     /// An NVIDIA GPU where there is one and the network can be trained on it, otherwise `flex`.
@@ -236,9 +236,7 @@ impl clap::ValueEnum for DeviceKind {
             #[cfg(feature = "vulkan")]
             Self::Vulkan => value.help("The best GPU that Vulkan finds"),
             #[cfg(feature = "cuda")]
-            Self::Cuda(0) => value
-                .alias("cuda:0")
-                .help("An NVIDIA GPU, cuda:1 for the second; frame models only"),
+            Self::Cuda(0) => value.alias("cuda:0").help("An NVIDIA GPU, cuda:1 for the second"),
             #[cfg(feature = "cuda")]
             Self::Cuda(_) => value.hide(true),
             Self::Auto => {

@@ -400,7 +400,12 @@ impl TrainConfig {
 
     /// Whether the network can be trained on an NVIDIA GPU.
     pub fn runs_on_gpus(&self) -> bool {
-        self.architecture == Architecture::Frame
+        match self.architecture {
+            Architecture::Frame => true,
+            Architecture::Particle => {
+                self.loss.density_weight == 0.0 && self.network.dropout == 0.0
+            }
+        }
     }
 
     /// Sizes of the layers for streams of `particles` particles.

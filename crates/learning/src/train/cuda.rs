@@ -1,15 +1,17 @@
-//! Training of the frame model on a GPU: the same windows, dropout masks, loss and steps as on the CPU.
+//! Training on a GPU: the same windows, dropout masks, loss and steps as on the CPU.
+//!
+//! 1. `batches`: steps as the device takes them. `stores`: either network on a device.
+//! 2. Here: GPUs that share the batches.
+
+mod batches;
+mod stores;
 
 use std::sync::{Arc, Weak};
 
-use rand::SeedableRng as _;
-use rand_chacha::ChaCha8Rng;
-
 use super::{
-    LossKind, TrainConfig, TrainError,
+    TrainConfig, TrainError,
     adam::{Correction, Moments},
     gradients::GradientTask,
-    loss_weights::LossScale,
     state::RunState,
     steps::Step,
     window::{Draw, Sampler},
@@ -20,12 +22,10 @@ use crate::{
 };
 use eddy_cuda::{
     device::{Device, Rank},
-    frame::{
-        Batch, GROUP, Inference, Outcome, Place, Settings, Store, StoreWriter, Streams, Training,
-        Window, footprint,
-    },
+    frame::Place,
     gpu::{self, Gpu, GroupId},
-    kernels::{Constants, MATERIALS},
+    kernels::MATERIALS,
+    training::{Batch, GROUP, InTraining, Outcome},
 };
 use eddy_evaluation::dataset::Trajectory;
 use eddy_frames::Material;
@@ -34,120 +34,22 @@ use eddy_inference::{
     engine::Surrogate,
 };
 
+use batches::weights_differ;
+pub(super) use batches::{batch, common_weights, settings, weights};
+pub(super) use stores::program;
+use stores::{Stores, Validation};
+#[cfg(test)]
+pub(super) use stores::{particle_store, store};
+
 /// Materials as the kernels count them.
 const _: () = assert!(Material::COUNT == MATERIALS);
-
-/// What a step is made of in the stage with so many free frames, on one of `devices` devices.
-pub(super) fn settings(config: &TrainConfig, unroll: usize, devices: usize) -> Settings {
-    Settings {
-        batch: config.windows.batch / devices,
-        warm_up: config.windows.warm_up,
-        unroll,
-        relative: config.loss.kind == LossKind::Relative,
-        observed_weight: config.loss.observed_weight,
-        density_weight: config.loss.density_weight,
-        density_nodes: config.loss.density_grid,
-        dropout: config.network.dropout,
-        noise: [config.windows.noise.position, config.windows.noise.velocity],
-        clip: config.optimizer.clip,
-        epsilon: config.optimizer.epsilon,
-        average: config.optimizer.average > 0.0,
-    }
-}
-
-/// All frames of all streams, where the device reads them.
-pub(super) fn store(
-    device: &dyn Device,
-    streams: &[Trajectory],
-    place: Place,
-) -> Result<Store, TrainError> {
-    let particles = streams.first().map_or(0, |stream| stream.material.len());
-    let frames = streams.iter().map(|stream| stream.frames).sum();
-    let mut store = StoreWriter::new(device, particles, frames, place)?;
-    for stream in streams {
-        let material: Vec<u8> = stream.material.iter().map(|&material| material as u8).collect();
-        store.stream(&material);
-        let mut outcome = Ok(());
-        stream.visit(0..stream.frames, |state| {
-            let pairs = state.position.iter().zip(&state.velocity);
-            let bodies: Vec<_> = pairs.map(|(&[x, y], &[vx, vy])| [x, y, vx, vy]).collect();
-            if outcome.is_ok() {
-                outcome = store.frame(&bodies);
-            }
-        })?;
-        outcome?;
-    }
-    Ok(store.finish()?)
-}
-
-/// A step on windows that were drawn. `dropout` is the generator of its masks.
-pub(super) fn batch(
-    draws: &[Draw],
-    correction: &Correction,
-    dropout: Option<&ChaCha8Rng>,
-    weights: Option<Vec<[f32; 4]>>,
-) -> Batch {
-    let window = |draw: &Draw| Window {
-        stream: draw.stream,
-        start: draw.start,
-        mirrored: draw.mirrored,
-        noise: draw.noise.map(|seed| ChaCha8Rng::seed_from_u64(seed).get_seed()),
-    };
-    Batch {
-        windows: draws.iter().map(window).collect(),
-        rate: correction.rate,
-        correction: 1.0 / correction.root,
-        kept: correction.kept,
-        dropout: dropout.map_or([0; 32], ChaCha8Rng::get_seed),
-        weights,
-    }
-}
-
-/// Weights of squared errors of x, y, vx, vy: the same for all batches, or none if they differ.
-pub(super) fn common_weights(
-    scale: &LossScale,
-    unroll: usize,
-    particles: usize,
-) -> Option<[f32; 4]> {
-    (scale.loss.kind == LossKind::Mse).then(|| scale.squared(unroll * particles))
-}
-
-/// Weights of squared errors of a batch, `[K, B, materials]`, for a loss that compares with the best trivial predictor
-/// in each window.
-pub(super) fn weights(
-    scale: &LossScale,
-    sampler: &Sampler,
-    draws: &[Draw],
-    unroll: usize,
-) -> Result<Vec<[f32; 4]>, TrainError> {
-    let of_window = |draw: &Draw| {
-        let own = match scale.needs_windows() {
-            true => Some(scale.trivial(&sampler.cut(*draw)?, unroll)),
-            false => None,
-        };
-        Ok(scale.relative(sampler.material(draw), own.as_ref(), unroll))
-    };
-    let weights = draws.iter().map(of_window).collect::<Result<Vec<_>, TrainError>>()?;
-    let of = |frame: usize, window: usize, material: usize| {
-        let [position, velocity] = weights[window][frame].map(|part| part[material]);
-        [position, position, velocity, velocity]
-    };
-    let frames = 0..unroll;
-    Ok(frames
-        .flat_map(|frame| (0..draws.len()).map(move |window| (frame, window)))
-        .flat_map(|(frame, window)| {
-            (0..Material::COUNT).map(move |material| (frame, window, material))
-        })
-        .map(|(frame, window, material)| of(frame, window, material))
-        .collect())
-}
 
 /// A network that learns on GPUs, each with its part of every batch. Between epochs the run's state on the CPU is brought up
 /// to date.
 pub(super) struct Learner {
     replicas: Vec<Replica>,
     /// The network for validation, on the first GPU.
-    streams: Option<Streams>,
+    validation: Option<Validation>,
 }
 
 /// The number of a process's GPU among those of its host. Where a launcher lets each process see a GPU of its own only,
@@ -178,9 +80,9 @@ fn share_id(group: &Group) -> Result<GroupId, TrainError> {
 /// A GPU with the network: all have the same weights.
 struct Replica {
     device: Arc<dyn Device>,
-    store: Arc<Store>,
+    stores: Stores,
     /// Steps of the stage at hand.
-    training: Option<Training>,
+    training: Option<Box<dyn InTraining>>,
 }
 
 /// Batches that are prepared and run at once.
@@ -198,8 +100,8 @@ impl Learner {
         description: &Description,
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
-        let constants = Constants::of(description)?;
-        let precision = options.precision.into();
+        let program = program(description)?;
+        let precision = stores::precision(description, options.precision.into());
         let (count, cache) = (options.total(), options.kernel_cache);
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {
@@ -212,23 +114,22 @@ impl Learner {
         let number = number + own_number(options.process.map(|options| options.process))?;
         let gpus = match (group, options.count.get()) {
             (Some(group), _) => {
-                let mut gpu = Gpu::new(number, &constants, precision, cache)?;
+                let mut gpu = Gpu::new(number, &*program, precision, cache)?;
                 let id = share_id(group)?;
                 let rank = options.process.map_or(0, |options| options.process.rank);
                 gpu.join(id, Rank { number: rank, count })?;
                 vec![gpu]
             }
-            (None, 1) => vec![Gpu::new(number, &constants, precision, cache)?],
-            (None, count) => Gpu::group(number..number + count, &constants, precision, cache)?,
+            (None, 1) => vec![Gpu::new(number, &*program, precision, cache)?],
+            (None, count) => Gpu::group(number..number + count, &*program, precision, cache)?,
         };
         let stages: Vec<_> =
             config.unroll.iter().map(|stage| settings(config, stage.frames, count)).collect();
-        let frames = streams.iter().map(|stream| stream.frames).sum();
         let mut places = Vec::new();
         for (place, gpu) in gpus.iter().enumerate() {
             let number = number + place;
             let free = host_free / count as u64;
-            let place = footprint::place(gpu, number, description, &stages, frames, free)?;
+            let place = stores::place(gpu, number, description, &stages, streams, free)?;
             if place == Place::Host {
                 tracing::info!(
                     "the trajectories do not fit into the memory of GPU {number}: each step's windows are fetched from the memory of the host"
@@ -237,7 +138,7 @@ impl Learner {
             places.push(place);
         }
         let devices = gpus.into_iter().map(|gpu| Arc::new(gpu) as Arc<dyn Device>);
-        Self::on(devices.zip(places), group, streams)
+        Self::on(devices.zip(places), group, description, streams)
     }
 
     /// Of any devices, with the place of their trajectories. If another process of the group is lost, they end their
@@ -245,11 +146,12 @@ impl Learner {
     pub(super) fn on(
         devices: impl IntoIterator<Item = (Arc<dyn Device>, Place)>,
         group: Option<&Group>,
+        description: &Description,
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
         let replica = |(device, place): (Arc<dyn Device>, Place)| {
-            let store = Arc::new(store(&*device, streams, place)?);
-            Ok(Replica { device, store, training: None })
+            let stores = Stores::new(&*device, description, streams, place)?;
+            Ok(Replica { device, stores, training: None })
         };
         let replicas = devices.into_iter().map(replica).collect::<Result<Vec<_>, TrainError>>()?;
         if let Some(group) = group {
@@ -260,7 +162,7 @@ impl Learner {
                 devices.iter().filter_map(Weak::upgrade).for_each(|device| device.leave_group());
             });
         }
-        Ok(Self { replicas, streams: None })
+        Ok(Self { replicas, validation: None })
     }
 
     /// Devices that share a batch, those of other processes included.
@@ -301,9 +203,9 @@ impl Learner {
             for (replica, batches) in self.replicas.iter().zip(&mut batches) {
                 let first = replica.device.rank().number * part;
                 let draws = &draws[first..first + part];
-                let relative = config.loss.kind == LossKind::Relative;
-                let own =
-                    relative.then(|| weights(scale, sampler, draws, state.unroll)).transpose()?;
+                let own = weights_differ(config)
+                    .then(|| weights(scale, sampler, draws, state.unroll))
+                    .transpose()?;
                 batches.push(batch(draws, &correction, masks.random(), own));
             }
             drawn.push(draws);
@@ -337,26 +239,19 @@ impl Learner {
 
     /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
     pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
-        let Checkpoint { description, tensors } = checkpoint;
         let Some(first) = self.replicas.first() else { unreachable!("a learner has a device") };
-        let streams = match &self.streams {
-            Some(streams) => streams,
-            None => {
-                let inference = Inference::new(first.device.clone(), description, tensors)?;
-                self.streams.insert(Streams::new(inference))
-            }
+        let validation = match &self.validation {
+            Some(validation) => validation,
+            None => self.validation.insert(Validation::new(&first.device, checkpoint)?),
         };
-        if let Some(training) = &first.training {
-            streams.copy_weights(training)?;
-        }
-        Ok(Surrogate::on_device(checkpoint, Arc::new(streams.clone()))?)
+        validation.surrogate(checkpoint, first.training.as_deref())
     }
 
     /// Brings the run's weights and moments up to date.
     pub(super) fn sync(&self, state: &mut RunState) -> Result<(), TrainError> {
         let training = self.replicas.first().and_then(|replica| replica.training.as_ref());
         let Some(training) = training else { return Ok(()) };
-        let [weights, first, second, average] = training.state()?;
+        let [weights, first, second, average] = training.optimizer().state()?;
         state
             .network
             .layers_mut()
@@ -380,17 +275,14 @@ impl Replica {
         // Free the memory of the previous stage first.
         self.training = None;
         let settings = settings(config, state.unroll, count);
-        let training =
-            Training::new(self.device.clone(), self.store.clone(), description, &settings)?;
+        let particles = description.sizes.particles.unwrap_or_default();
+        let weights = common_weights(scale, state.unroll, particles);
+        let training = self.stores.training(&self.device, description, &settings, weights)?;
         training.set_weights(&state.network.layers().tensors(description))?;
         let moments = state.adam.moments.iter().map(|Moments { first, second, average }| {
             [first.as_slice(), second.as_slice(), average.as_slice()]
         });
-        training.set_moments(moments)?;
-        let particles = description.sizes.particles.unwrap_or_default();
-        if let Some(weights) = common_weights(scale, state.unroll, particles) {
-            training.set_error_weights(weights)?;
-        }
+        training.optimizer().set_moments(moments)?;
         self.training = Some(training);
         Ok(())
     }

@@ -18,6 +18,7 @@ use eddy_cuda::{
     device::Device,
     frame::{Place, Training},
     kernels::Constants,
+    training::InTraining as _,
 };
 use eddy_cuda_emulator::Emulator;
 use eddy_evaluation::dataset::{State, Stream, Trajectory};
@@ -101,7 +102,10 @@ fn random_weights(description: &Description) -> BTreeMap<String, Weights> {
 }
 
 /// The names of the tensors in the order of the optimizer, with the widths of their layers.
-fn named(description: &Description, tensors: Vec<Vec<f32>>) -> BTreeMap<String, Vec<f32>> {
+pub(super) fn named(
+    description: &Description,
+    tensors: Vec<Vec<f32>>,
+) -> BTreeMap<String, Vec<f32>> {
     let layers = linear_layers(description);
     let mut tensors = tensors.into_iter();
     let mut named = BTreeMap::new();
@@ -332,7 +336,13 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (found, found_losses) = run(&|| {
         let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
         Learner::Cuda(Box::new(
-            cuda::Learner::on([(device as Arc<dyn Device>, Place::Host)], None, &streams).unwrap(),
+            cuda::Learner::on(
+                [(device as Arc<dyn Device>, Place::Host)],
+                None,
+                &description,
+                &streams,
+            )
+            .unwrap(),
         ))
     });
 

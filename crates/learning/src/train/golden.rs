@@ -265,6 +265,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
     use eddy_cuda::{
         frame::{Place, Training},
         kernels::Constants,
+        training::InTraining as _,
     };
     use eddy_cuda_emulator::Emulator;
     use eddy_evaluation::dataset::{Stream, Trajectory};

@@ -25,6 +25,9 @@ mod config;
 mod cuda;
 #[cfg(test)]
 #[cfg(feature = "cuda")]
+mod cuda_particle_tests;
+#[cfg(test)]
+#[cfg(feature = "cuda")]
 mod cuda_tests;
 pub mod dense;
 mod density;

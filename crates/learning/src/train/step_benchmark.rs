@@ -356,7 +356,12 @@ mod cuda {
             config.network.hidden = 12;
             let open = |description: &Description, streams: &[Trajectory]| {
                 let device = Arc::new(Emulator::new(&Constants::of(description)?)?);
-                Learner::on([(device as Arc<dyn Device>, Place::Device)], None, streams)
+                Learner::on(
+                    [(device as Arc<dyn Device>, Place::Device)],
+                    None,
+                    description,
+                    streams,
+                )
             };
             let mut steps = Steps::new(&config, 8, &open).unwrap();
             let mut mean = || {

@@ -85,9 +85,9 @@ fn run(
         progress: options.progress,
         on_epoch: options.on_epoch,
     };
-    let learner = |_: &Description, group: Option<&Group>| {
+    let learner = |description: &Description, group: Option<&Group>| {
         let devices = [(device.clone(), Place::Device)];
-        let learner = cuda::Learner::on(devices, group, &dataset.train)?;
+        let learner = cuda::Learner::on(devices, group, description, &dataset.train)?;
         Ok(Learner::Cuda(Box::new(learner)))
     };
     train_with(config, &dataset, &run, &Dependencies { learner: &learner, clock: options.clock })

@@ -6,9 +6,10 @@ use crate::{
     device::{Address, Argument, Queue, Shape},
     error::Result,
     kernels::{AXES, Constants, Kernel},
+    training::Settings,
 };
 
-use super::{BODY, SUMS, Settings, Training};
+use super::{BODY, SUMS, Training};
 
 /// The frames of a segment that the decoder runs on.
 pub(super) struct Decoded {
@@ -31,8 +32,8 @@ impl Training {
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
         let states: Argument = self.at(&self.states, first, particles * BODY).into();
         let rest: [Argument; 6] = [
-            self.windows.address().into(),
-            self.progress.address().into(),
+            self.tables.windows.address().into(),
+            self.tables.progress.address().into(),
             self.weight(&self.layout.points).into(),
             self.scaling.address().into(),
             sums.into(),
@@ -93,10 +94,10 @@ impl Training {
                 self.states.address().into(),
                 self.output.address().into(),
                 self.bodies().into(),
-                self.windows.address().into(),
-                self.progress.address().into(),
+                self.tables.windows.address().into(),
+                self.tables.progress.address().into(),
                 self.store.material.address().into(),
-                self.error_weights.address().into(),
+                self.tables.error_weights.address().into(),
                 self.squares.address().into(),
                 self.frames_argument(),
                 from.into(),
@@ -212,8 +213,8 @@ impl Training {
                 &[
                     from.plus(skipped).into(),
                     to.plus(skipped).into(),
-                    self.schedule.address().into(),
-                    self.progress.address().into(),
+                    self.tables.schedule.address().into(),
+                    self.tables.progress.address().into(),
                     ((window * hidden) as u64).into(),
                     rows.into(),
                     self.settings.dropout.into(),
@@ -252,8 +253,8 @@ impl Training {
                     self.states.address().into(),
                     self.output.address().into(),
                     self.bodies().into(),
-                    self.windows.address().into(),
-                    self.progress.address().into(),
+                    self.tables.windows.address().into(),
+                    self.tables.progress.address().into(),
                     self.densities.address().into(),
                     gradient.address().into(),
                     self.frames_argument(),
@@ -270,12 +271,12 @@ impl Training {
                 self.constants.particles.div_ceil(256).into(),
                 self.densities.address().into(),
                 factor.into(),
-                self.frames_argument(),
+                self.unroll_argument(),
                 usize::from(relative).into(),
                 observed_weight.into(),
                 self.scales.address().into(),
-                self.progress.address().into(),
-                self.outcomes.address().into(),
+                self.tables.progress.address().into(),
+                self.tables.outcomes.address().into(),
             ],
         )
     }

@@ -1,11 +1,12 @@
 //! Launches and products of a step, with the shapes and places they share.
 
-use super::{Settings, Staging, Training};
+use super::{Staging, Training};
 use crate::{
     device::{Address, Argument, Buffer, Factor, Product, Queue, Shape},
     error::Result,
-    frame::{data::Bodies, layout::Matrix},
-    kernels::{Kernel, MATERIALS},
+    frame::data::Bodies,
+    kernels::Kernel,
+    training::{Matrix, Settings},
 };
 
 /// Blocks that fetch windows: enough to keep the bus busy, few, since they wait beside those of the step.
@@ -21,13 +22,21 @@ impl Training {
         buffer.address().plus(t * self.settings.batch * numbers)
     }
 
+    /// `struct Unroll` of the kernels.
+    pub(super) fn unroll_argument(&self) -> Argument {
+        let Settings { batch, warm_up, unroll, .. } = self.settings;
+        let counts =
+            [batch, warm_up, unroll, self.settings.first_decoded()].map(|count| count as u32);
+        Argument::from_bytes(bytemuck::cast_slice(&counts))
+    }
+
     /// `struct Frames` of the kernels.
     pub(super) fn frames_argument(&self) -> Argument {
-        let Settings { batch, warm_up, unroll, relative, .. } = self.settings;
+        let Settings { batch, warm_up, unroll, .. } = self.settings;
         let even = if warm_up > 1 { unroll as f32 / (warm_up - 1) as f32 } else { 0.0 };
-        let step = if relative { unroll * batch * MATERIALS } else { 0 };
         let counts =
-            [batch, warm_up, unroll, self.settings.first_decoded(), step].map(|count| count as u32);
+            [batch, warm_up, unroll, self.settings.first_decoded(), self.tables.weights_step()]
+                .map(|count| count as u32);
         let numbers = [self.sides, even].into_iter().chain(self.motion.into_iter().flatten());
         let words: Vec<u32> = counts.into_iter().chain(numbers.map(f32::to_bits)).collect();
         Argument::from_bytes(bytemuck::cast_slice(&words))
@@ -99,7 +108,7 @@ impl Training {
         slopes: Address,
         rows: usize,
     ) -> Result<()> {
-        let gradient = self.gradients.address().plus(matrix.first);
+        let gradient = self.optimizer.gradients.address().plus(matrix.first);
         self.product(
             Queue::Side,
             [input, slopes, gradient],
@@ -127,7 +136,7 @@ impl Training {
     }
 
     pub(super) fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address().plus(matrix.first)
+        self.optimizer.weight(matrix)
     }
 
     /// Blocks over the hidden units of all windows' frames.
@@ -165,7 +174,7 @@ impl Training {
             &[
                 host.address().into(),
                 staging.sources.address().into(),
-                self.progress.address().into(),
+                self.tables.progress.address().into(),
                 staging.bodies.address().into(),
                 ahead.into(),
                 (frames * self.constants.particles).into(),

@@ -5,9 +5,10 @@ use crate::{
     error::Result,
     frame::maximum::Points,
     kernels::{AXES, Constants, Kernel, MATERIALS},
+    training::Settings,
 };
 
-use super::{BODY, Settings, Training};
+use super::{BODY, Training};
 
 /// Memory for the outputs of particles (bytes).
 const POINTS: usize = 256 << 20;
@@ -65,8 +66,8 @@ impl Training {
                 &[
                     self.states.address().plus(from * particles * BODY).into(),
                     self.store.material.address().into(),
-                    self.windows.address().into(),
-                    self.progress.address().into(),
+                    self.tables.windows.address().into(),
+                    self.tables.progress.address().into(),
                     self.weight(&self.layout.points).into(),
                     self.scaling.address().into(),
                     points.inputs.address().into(),
@@ -74,7 +75,8 @@ impl Training {
                     batch.into(),
                 ],
             )?;
-            let product = points.product(&self.layout.pooled, 0, rows * particles, &self.weights);
+            let product =
+                points.product(&self.layout.pooled, 0, rows * particles, &self.optimizer.weights);
             // SAFETY: buffers are those that `new` has made for these sizes.
             unsafe { self.device.multiply(Queue::Main, &product) }?;
             self.launch(
@@ -112,14 +114,14 @@ impl Training {
             &[
                 self.states.address().into(),
                 self.store.material.address().into(),
-                self.windows.address().into(),
-                self.progress.address().into(),
+                self.tables.windows.address().into(),
+                self.tables.progress.address().into(),
                 self.weight(&self.layout.points).into(),
                 self.scaling.address().into(),
                 self.weight(&self.layout.pooled).into(),
                 self.d_input.address().into(),
                 maximum.which.address().into(),
-                self.gradients.address().plus(self.layout.pooled.first).into(),
+                self.optimizer.gradients.address().plus(self.layout.pooled.first).into(),
                 maximum.parts.address().into(),
                 rows.into(),
                 self.settings.batch.into(),
@@ -138,7 +140,10 @@ impl Training {
                 block: [32, 32],
                 shared: 0,
             },
-            &[maximum.parts.address().into(), self.gradients.address().plus(matrix.first).into()],
+            &[
+                maximum.parts.address().into(),
+                self.optimizer.gradients.address().plus(matrix.first).into(),
+            ],
         )
     }
 
@@ -154,8 +159,8 @@ impl Training {
             &[
                 self.at(&self.states, frame, particles * BODY).into(),
                 self.store.material.address().into(),
-                self.windows.address().into(),
-                self.progress.address().into(),
+                self.tables.windows.address().into(),
+                self.tables.progress.address().into(),
                 self.weight(&self.layout.points).into(),
                 self.scaling.address().into(),
                 self.weight(&self.layout.pooled).into(),

@@ -1,13 +1,13 @@
 //! Gradients by the weights, beside the backward pass, and what they change.
 
 use crate::{
-    device::{Address, Buffer, Queue, Shape},
+    device::{Address, Queue, Shape},
     error::Result,
-    frame::layout::Matrix,
     kernels::{Constants, Kernel},
+    training::Matrix,
 };
 
-use super::{CHUNKS, Training};
+use super::Training;
 
 impl Training {
     /// The gradient by a matrix, in the side queue, once all slopes are there.
@@ -40,7 +40,7 @@ impl Training {
                 &[
                     self.d_pooled.address().into(),
                     self.sums.address().into(),
-                    self.gradients.address().plus(matrix.first).into(),
+                    self.optimizer.gradients.address().plus(matrix.first).into(),
                     rows.into(),
                     self.chunks.into(),
                 ],
@@ -61,38 +61,11 @@ impl Training {
 
     /// The gradient by a matrix averaged over the devices, its norms, and what shortens it.
     pub(super) fn measure(&self, matrix: &Matrix) -> Result<()> {
-        let (gradient, queue) = (self.gradients.address().plus(matrix.first), self.updates());
+        let queue = self.updates();
         if queue != Queue::Side {
             self.device.wait(queue, Queue::Side)?;
         }
-        // SAFETY: the matrix lies within the gradients.
-        unsafe { self.device.average(queue, gradient, matrix.size()) }?;
-        let tensors = matrix.tensors();
-        let squares = self.tensor_squares.address().plus(matrix.tensor * CHUNKS);
-        self.launch_in(
-            queue,
-            Kernel::SquaresOfGradient,
-            // A block has 256 times 4 numbers or more.
-            Shape::new(matrix.size().div_ceil(1024).min(CHUNKS), tensors, 256),
-            &[
-                gradient.into(),
-                squares.into(),
-                matrix.columns.into(),
-                matrix.bias.into(),
-                matrix.width.into(),
-            ],
-        )?;
-        self.launch_in(
-            queue,
-            Kernel::Clip,
-            Shape::new(tensors, 1, 256),
-            &[
-                squares.into(),
-                self.tensor_scales.address().plus(matrix.tensor).into(),
-                self.tensor_totals.address().plus(matrix.tensor).into(),
-                self.settings.clip.into(),
-            ],
-        )
+        self.optimizer.measure(queue, matrix)
     }
 
     /// Adam for a matrix, once nothing needs the old weights any more.
@@ -102,28 +75,6 @@ impl Training {
         }
         let queue = self.updates();
         self.device.wait(queue, Queue::Main)?;
-        let at = |buffer: &Buffer| buffer.address().plus(matrix.first);
-        let average = self.average.as_ref().map_or(Address::NULL, at);
-        let quads = matrix.size() / 4;
-        self.launch_in(
-            queue,
-            Kernel::Adam,
-            Shape::new(quads.div_ceil(256), 1, 256),
-            &[
-                at(&self.weights).into(),
-                at(&self.gradients).into(),
-                at(&self.first).into(),
-                at(&self.second).into(),
-                average.into(),
-                self.tensor_scales.address().plus(matrix.tensor).into(),
-                self.schedule.address().into(),
-                self.progress.address().into(),
-                quads.into(),
-                matrix.columns.into(),
-                matrix.bias.into(),
-                matrix.width.into(),
-                self.settings.epsilon.into(),
-            ],
-        )
+        self.optimizer.change(queue, matrix, &self.tables)
     }
 }

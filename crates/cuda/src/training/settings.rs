@@ -1,6 +1,6 @@
 //! What a training step is made of, and what comes of it.
 
-use crate::frame::data::Window;
+use super::Window;
 
 /// What a training step is made of.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +51,7 @@ impl Settings {
     }
 
     /// The first frame that the decoder runs on: earlier predictions count only where the loss asks for them.
-    pub(super) fn first_decoded(&self) -> usize {
+    pub(crate) fn first_decoded(&self) -> usize {
         if self.observed_weight > 0.0 { 0 } else { self.warm_up - 1 }
     }
 }

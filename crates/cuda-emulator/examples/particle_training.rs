@@ -1,0 +1,224 @@
+//! The particle model's training on a GPU: `check` compares small networks of every core with the emulator and two runs with each
+//! other; `time` times steps of the usual network; `once` takes one step, for a profiler.
+
+#[path = "problem/mod.rs"]
+#[expect(dead_code, reason = "the example of the frame model uses more of it")]
+mod problem;
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use eddy_cuda::{
+    device::Device,
+    gpu::{Gpu, Precision, list},
+    kernels::MATERIALS,
+    particle::{Store, StoreWriter, Training, TrainingConstants},
+    training::{Batch, GROUP, InTraining as _, Settings, Window},
+};
+use eddy_cuda_emulator::Emulator;
+use eddy_frames::Material;
+use eddy_inference::{
+    checkpoint::{Architecture, Core, Description, Sizes, Weights, initial_weights},
+    kernels::rest_shape::RestShape,
+};
+use problem::{Noise, Result, worst};
+
+/// Distance of particles at rest (domain lengths).
+const SPACING: f32 = 1.0 / 128.0;
+/// Frames of a stream.
+const FRAMES: usize = 60;
+/// Frames that are observed before the free ones, those of `eddy train`.
+const WARM_UP: usize = 3;
+
+fn main() -> Result<()> {
+    for gpu in list()? {
+        println!("{gpu:?}");
+    }
+    match std::env::args().nth(1).as_deref() {
+        Some("check") => check(),
+        Some("time") => time(),
+        Some("once") => once(),
+        _ => Err("expected check, time or once".into()),
+    }
+}
+
+/// A network, and streams of four blocks of `side` x `side` particles, one of each material.
+struct Problem {
+    description: Description,
+    weights: BTreeMap<String, Weights>,
+    settings: Settings,
+    side: usize,
+    streams: usize,
+}
+
+impl Problem {
+    fn new(core: Core, sizes: Sizes, side: usize, settings: Settings) -> Self {
+        let description = Description::untrained(Architecture::Particle, core, sizes);
+        let mut noise = Noise(7);
+        let mut weights = initial_weights(&description, 1);
+        // Zeros would leave the other layers without gradients.
+        for weight in weights.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
+            *weight = 0.1 * noise.next();
+        }
+        Self { description, weights, settings, side, streams: 8 }
+    }
+
+    fn store(&self, device: &dyn Device) -> Result<Store> {
+        let particles = 4 * self.side * self.side;
+        let mut noise = Noise(3);
+        let mut store = StoreWriter::new(device, particles, particles * FRAMES * self.streams)?;
+        for _ in 0..self.streams {
+            let (mut rest, mut velocity, mut material) = (Vec::new(), Vec::new(), Vec::new());
+            for (number, kind) in Material::ALL.into_iter().enumerate() {
+                let corner = [0.08 + 0.22 * number as f32, 0.3 + 0.2 * noise.next()];
+                let speed = [0.05 * noise.next(), 0.1 * noise.next()];
+                for k in 0..self.side * self.side {
+                    let steps = [k % self.side, k / self.side].map(|step| step as f32 * SPACING);
+                    rest.push([corner[0] + steps[0], corner[1] + steps[1]]);
+                    velocity.push(speed);
+                    material.push(kind);
+                }
+            }
+            let numbers: Vec<u8> = material.iter().map(|&material| material as u8).collect();
+            let mirrored: Vec<_> = rest.iter().map(|&[x, y]| [1.0 - x, y]).collect();
+            let shape = |rest: &[[f32; 2]]| RestShape::new(rest, &material, 1, SPACING);
+            store.stream(&numbers, [&shape(&rest), &shape(&mirrored)]);
+            for frame in 0..FRAMES {
+                let time = frame as f32 * 0.016;
+                let bodies: Vec<_> = rest
+                    .iter()
+                    .zip(&velocity)
+                    .map(|(&[x, y], &[vx, vy])| {
+                        let [dx, dy] = [(); 2].map(|()| 0.001 * noise.next());
+                        [x + time * vx + dx, y + time * vy + dy, vx + 10.0 * dx, vy + 10.0 * dy]
+                    })
+                    .collect();
+                store.frame(&bodies)?;
+            }
+        }
+        Ok(store.finish()?)
+    }
+
+    fn training(&self, device: Arc<dyn Device>) -> Result<Training> {
+        let store = Arc::new(self.store(&*device)?);
+        let training = Training::new(device, store, &self.description, &self.settings)?;
+        training.set_weights(&self.weights)?;
+        Ok(training)
+    }
+
+    fn batches(&self, count: usize) -> Vec<Batch> {
+        let Settings { batch, warm_up, unroll, .. } = self.settings;
+        let particles = 4.0 * (self.side * self.side) as f32;
+        let window = |i: usize| Window {
+            stream: i * 7 % self.streams,
+            start: i * 13 % (FRAMES - warm_up - unroll),
+            mirrored: i.is_multiple_of(3),
+            noise: i.is_multiple_of(2).then_some([i as u8; 32]),
+        };
+        let even = 1.0 / (2.0 * particles * unroll as f32);
+        (1..=count)
+            .map(|step| Batch {
+                windows: (0..batch).map(|i| window(i + step * batch)).collect(),
+                rate: 1e-3 / (1.0 - 0.9f32.powi(step as i32)),
+                correction: 1.0 / (1.0 - 0.999f32.powi(step as i32)).sqrt(),
+                kept: 0.5,
+                dropout: [0; 32],
+                weights: Some(vec![[even, even, even, even]; unroll * batch * MATERIALS]),
+            })
+            .collect()
+    }
+}
+
+/// `eddy train`'s settings with so many windows and free frames.
+fn settings(batch: usize, warm_up: usize, unroll: usize) -> Settings {
+    Settings {
+        batch,
+        warm_up,
+        unroll,
+        relative: true,
+        observed_weight: 0.5,
+        noise: [1e-4, 0.01],
+        clip: 1.0,
+        average: true,
+        ..Settings::plain(batch, warm_up)
+    }
+}
+
+fn usual() -> Sizes {
+    Sizes { encoder: 16, hidden: 24, layers: 2, particles: None }
+}
+
+fn check() -> Result<()> {
+    for core in Core::ALL {
+        let settings = Settings { epsilon: 1e-4, ..settings(3, 3, 3) };
+        let problem = Problem::new(core, usual(), 5, settings);
+        let constants = TrainingConstants::of(&problem.description)?;
+        let run = |device: Arc<dyn Device>| -> Result<_> {
+            let mut training = problem.training(device)?;
+            let batches = problem.batches(4);
+            training.start(&batches[..1])?;
+            let (mut outcomes, gradients) = (training.outcomes(1)?, training.gradients()?);
+            training.start(&batches[1..])?;
+            outcomes.extend(training.outcomes(3)?);
+            Ok((outcomes, gradients, training.weights()?))
+        };
+        let expected = run(Arc::new(Emulator::new(&constants)?))?;
+        let gpu = || Gpu::new(0, &constants, Precision::Fp32, None);
+        let found = run(Arc::new(gpu()?))?;
+        let again = run(Arc::new(gpu()?))?;
+        let (gradient, weights) = (worst(&found.1, &expected.1), worst(&found.2, &expected.2));
+        println!(
+            "{}: relative errors: gradient {gradient:.1e}, weights after 4 steps {weights:.1e}",
+            core.name()
+        );
+        // A unit at the bend of its ReLU can change the weights of later steps more than the first gradient.
+        if gradient > 1e-5 || weights > 1e-2 {
+            return Err("relative error above 1e-5 of the gradient, or 1e-2 of the weights".into());
+        }
+        if found != again {
+            return Err("two runs with the same settings differ".into());
+        }
+    }
+    Ok(())
+}
+
+fn time() -> Result<()> {
+    for core in Core::ALL {
+        for unroll in [2, 6, 14, 24] {
+            let problem = Problem::new(core, usual(), 25, settings(16, WARM_UP, unroll));
+            let constants = TrainingConstants::of(&problem.description)?;
+            let cache = Some("/tmp/kernels".as_ref());
+            let gpu = Arc::new(Gpu::new(0, &constants, Precision::Fp32, cache)?);
+            let mut training = problem.training(gpu.clone())?;
+            let batches = problem.batches(GROUP);
+            training.start(&batches[..2])?;
+            let mut times = Vec::new();
+            for _ in 0..5 {
+                let mut outcome = Ok(());
+                let time = gpu.time(|| {
+                    outcome = training.start(&batches);
+                    Ok(())
+                })?;
+                outcome?;
+                times.push(time / GROUP as f32);
+            }
+            times.sort_by(f32::total_cmp);
+            let loss = training.outcomes(GROUP)?[GROUP - 1].loss;
+            println!(
+                "{}: 16 windows of 2,500 particles, {WARM_UP} observed and {unroll} free frames: {:.3} ms/step (loss {loss:.5})",
+                core.name(),
+                times[2]
+            );
+        }
+    }
+    Ok(())
+}
+
+fn once() -> Result<()> {
+    let problem = Problem::new(Core::MinGru, usual(), 25, settings(16, WARM_UP, 6));
+    let constants = TrainingConstants::of(&problem.description)?;
+    let gpu = Arc::new(Gpu::new(0, &constants, Precision::Fp32, None)?);
+    let mut training = problem.training(gpu)?;
+    training.start(&problem.batches(1))?;
+    println!("{:?}", training.outcomes(1)?);
+    Ok(())
+}

@@ -1,0 +1,197 @@
+// Windows, and the grids of their frames.
+
+// The observed frames, with noise on the last one. grid (ceil(most / 256), warm_up B), block 256
+extern "C" __global__ void __launch_bounds__(256) train_observe(const Plan* __restrict__ plan, float positions, float velocities) {
+  const Plan& s = *plan;
+  const int sheet = blockIdx.y, t = sheet / s.batch, b = sheet % s.batch;
+  const u32 p = blockIdx.x * 256 + threadIdx.x, n = particles_of(s, b);
+  if (p >= n) return;
+  const Window& window = window_of(s, b);
+  Body body = mirror(s.store[window.first + (u64)t * n + p], window, s.sides);
+  if (t + 1 == s.warm_up && window.disturbed) body = disturbed(body, window, (int)n, (int)p, positions, velocities);
+  s.states[particle_row(s, sheet, p)] = body;
+}
+
+// Running sums of a list by a block, `each` numbers a thread; calls take(at, value, sum before it). Returns the sum of all.
+#define CELL_THREADS 512
+template <class Take> __device__ __forceinline__ u32 running_sums(const u32* from, u32 size, u32 (*sums)[CELL_THREADS], Take take) {
+  const u32 each = (size + CELL_THREADS - 1) / CELL_THREADS, begin = threadIdx.x * each, end = min(begin + each, size);
+  u32 own = 0;
+  for (u32 at = begin; at < end; at++) own += from[at];
+  int side = 0;
+  sums[0][threadIdx.x] = own;
+  __syncthreads();
+  for (u32 m = 1; m < CELL_THREADS; m *= 2) {
+    sums[side ^ 1][threadIdx.x] = sums[side][threadIdx.x] + (threadIdx.x >= m ? sums[side][threadIdx.x - m] : 0u);
+    side ^= 1;
+    __syncthreads();
+  }
+  u32 running = sums[side][threadIdx.x] - own;
+  const u32 total = sums[side][CELL_THREADS - 1];
+  for (u32 at = begin; at < end; at++) {
+    const u32 value = from[at];
+    take(at, value, running);
+    running += value;
+  }
+  __syncthreads();
+  return total;
+}
+
+// The cells and nodes of sheets from `first` on (`kernels/nodes` of eddy-inference). grid (1, sheets), block CELL_THREADS
+extern "C" __global__ void __launch_bounds__(CELL_THREADS) train_cells(const Plan* __restrict__ plan, int first) {
+  __shared__ u32 sums[2][CELL_THREADS];
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y;
+  const u32 n = particles_of(s, sheet % s.batch), cells = s.entries[0];
+  const Body* bodies = s.states + particle_row(s, sheet, 0);
+  u32* counts = s.cell_counts + (size_t)blockIdx.y * cells;
+  u32* starts = s.starts + (size_t)sheet * (cells + 1);
+  u32* cell_of = s.cell_of + particle_row(s, blockIdx.y, 0);
+  u32* arrivals = s.arrivals + particle_row(s, blockIdx.y, 0);
+  u32* unsorted = s.unsorted + particle_row(s, blockIdx.y, 0);
+  for (u32 at = threadIdx.x; at < cells; at += CELL_THREADS) counts[at] = 0;
+  for (int level = 0; level < LEVELS; level++)
+    for (u32 at = threadIdx.x; at < s.entries[level]; at += CELL_THREADS) s.maps[level][(size_t)sheet * s.entries[level] + at] = 0;
+  __syncthreads();
+  for (u32 p = threadIdx.x; p < n; p += CELL_THREADS) {
+    const Body body = bodies[p];
+    int base[DIM];
+#pragma unroll
+    for (int a = 0; a < DIM; a++) base[a] = (int)stencil(cell_place(s, body, a));
+    const u32 cell = cell_entry(s, base);
+    cell_of[p] = cell;
+    arrivals[p] = atomicAdd(counts + cell, 1u);
+    if (arrivals[p]) continue;
+    for (int level = 0; level < LEVELS; level++)
+      for (int place = 0; place < STENCIL; place++) {
+        u32 entry = 0;
+        for (int a = DIM - 1, rest = place; a >= 0; a--) {
+          int digit = rest;
+          for (int lower = 0; lower < a; lower++) digit /= 3;
+          entry = entry * (s.across[a] >> level) + ((u32)(base[a] + ORIGIN + digit % 3) >> level);
+        }
+        s.maps[level][(size_t)sheet * s.entries[level] + entry] = 1u;
+      }
+  }
+  __syncthreads();
+  running_sums(counts, cells, sums, [=](u32 at, u32, u32 before) { starts[at] = before; });
+  if (threadIdx.x == 0) starts[cells] = n;
+  for (int level = 0; level < LEVELS; level++) {
+    u32* map = s.maps[level] + (size_t)sheet * s.entries[level];
+    u32* list = s.lists[level] + (size_t)sheet * s.nodes[level];
+    const u32 total = running_sums(map, s.entries[level], sums, [=](u32 at, u32 value, u32 before) {
+      if (value) list[before] = at;
+      map[at] = value ? before : MISSING;
+    });
+    if (threadIdx.x == 0) s.totals[sheet * LEVELS + level] = total;
+  }
+  for (u32 p = threadIdx.x; p < n; p += CELL_THREADS) unsorted[starts[cell_of[p]] + arrivals[p]] = p;
+  __syncthreads();
+  // By their number: each counts those of its cell with a smaller one.
+  for (u32 from = threadIdx.x; from < n; from += CELL_THREADS) {
+    const u32 p = unsorted[from], begin = starts[cell_of[p]], end = starts[cell_of[p] + 1];
+    u32 slot = begin;
+    for (u32 other = begin; other < end; other++) slot += unsorted[other] < p ? 1u : 0u;
+    s.order[particle_row(s, sheet, slot)] = p;
+    const Body body = bodies[p];
+#pragma unroll
+    for (int a = 0; a < DIM; a++) {
+      const float place = cell_place(s, body, a);
+      spline_weights(place - stencil(place), s.weights + particle_row(s, sheet, slot) * (3 * DIM) + 3 * a);
+    }
+  }
+}
+
+// Sums over the particles around a node, in the order of their slots; `mass` is the sum of the weights.
+struct NodeSum { float4 sum; float mass; };
+__device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entry, const float* values, int stride, int quad) {
+  NodeSum found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
+  const u32* starts = s.starts + (size_t)sheet * (s.entries[0] + 1);
+  for (int row = 0; row < STENCIL_ROWS; row++) {
+    // This is node (i, row) of the stencil of the cell i further left.
+    u32 last = entry;
+    for (int a = 1, rest = row; a < DIM; a++) {
+      last -= rest % 3 * map_step(s, 0, a);
+      rest /= 3;
+    }
+    const u32 begin = starts[last - 2], middle = starts[last - 1], right = starts[last], end = starts[last + 1];
+#pragma unroll 4
+    for (u32 slot = begin; slot < end; slot++) {
+      const size_t at = particle_row(s, sheet, slot);
+      const float (*weights)[3] = (const float (*)[3])(s.weights + at * (3 * DIM));
+      const float weight = weights[0][slot < middle ? 2 : (slot < right ? 1 : 0)] * row_weight(weights, row);
+      found.mass += weight;
+      if (quad < 0) continue;
+      const float4 value = *(const float4*)(values + (size_t)s.order[at] * stride + 4 * quad);
+      found.sum.x = fmaf(weight, value.x, found.sum.x);
+      found.sum.y = fmaf(weight, value.y, found.sum.y);
+      found.sum.z = fmaf(weight, value.z, found.sum.z);
+      found.sum.w = fmaf(weight, value.w, found.sum.w);
+    }
+  }
+  return found;
+}
+
+// Means of the encoder's outputs on the nodes of sheets from `first` on, then mass and proximity to walls. A thread has four
+// numbers of a node. grid (ceil(nodes (C04 / 4 + 1) / 128), sheets), block 128
+#define QUADS (C04 / 4)
+extern "C" __global__ void __launch_bounds__(128) train_to_nodes(const Plan* __restrict__ plan, int first) {
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y, item = blockIdx.x * 128 + threadIdx.x, quad = item % (QUADS + 1);
+  const u32 node = item / (QUADS + 1);
+  if (node >= s.totals[sheet * LEVELS]) return;
+  const u32 entry = s.lists[0][(size_t)sheet * s.nodes[0] + node];
+  float* to = s.fields[0] + ((size_t)sheet * s.nodes[0] + node) * INPUT4;
+  const float* encoded = s.encoded + particle_row(s, sheet, 0) * C04;
+  const NodeSum found = sum_around(s, sheet, entry, encoded, C04, quad < QUADS ? quad : -1);
+  if (quad < QUADS) {
+    const float scale = 1.0f / (found.mass + MIN_MASS);
+    const float means[4] = {found.sum.x * scale, found.sum.y * scale, found.sum.z * scale, found.sum.w * scale};
+#pragma unroll
+    for (int u = 0; u < 4; u++)
+      if (4 * quad + u < C0) to[4 * quad + u] = means[u];
+    return;
+  }
+  to[C0] = found.mass / FULL_MASS;
+  u32 rest = entry;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const u32 across = s.across[a];
+    const int at = (int)(a + 1 < DIM ? rest % across : rest) - ORIGIN;
+    rest /= across;
+    const float place = s.lower[a] + multiply_rounded((float)at, s.width);
+    const float sides[2] = {place - s.wall_lower[a], s.wall_upper[a] - place};
+#pragma unroll
+    for (int side = 0; side < 2; side++) to[C0 + 1 + DIM * side + a] = exponential(-fmaxf(sides[side], 0.0f) / s.width);
+  }
+}
+// The gradient by what particles gather: sums over the particles around each node. grid (ceil(nodes C04 / 4 / 128), sheets), block 128
+extern "C" __global__ void __launch_bounds__(128) train_gather_gradient(const Plan* __restrict__ plan, int first) {
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y, item = blockIdx.x * 128 + threadIdx.x, quad = item % QUADS;
+  const u32 node = item / QUADS;
+  if (node >= s.totals[sheet * LEVELS]) return;
+  const u32 entry = s.lists[0][(size_t)sheet * s.nodes[0] + node];
+  const float* by_gathered = s.by_inputs + particle_row(s, blockIdx.y, 0) * CONCAT + F4;
+  const NodeSum found = sum_around(s, sheet, entry, by_gathered, CONCAT, quad);
+  *(float4*)(s.slopes[FIELDS - 1] + ((size_t)sheet * s.nodes[0] + node) * C04 + 4 * quad) = found.sum;
+}
+// From the gradient by what layers read of the nodes to the ones by the sums over particles, and by the mass in the place of its
+// share, in place. A thread has a node. grid (ceil(nodes / 128), sheets), block 128
+extern "C" __global__ void __launch_bounds__(128) train_means_gradient(const Plan* __restrict__ plan, int first) {
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y;
+  const u32 node = blockIdx.x * 128 + threadIdx.x;
+  if (node >= s.totals[sheet * LEVELS]) return;
+  const size_t at = ((size_t)sheet * s.nodes[0] + node) * INPUT4;
+  const float* means = s.fields[0] + at;
+  float* by = s.slopes[0] + at;
+  const float scale = 1.0f / (multiply_rounded(means[C0], FULL_MASS) + MIN_MASS);
+  float sum = 0.0f;
+#pragma unroll 4
+  for (int c = 0; c < C0; c++) {
+    sum = fmaf(by[c], means[c], sum);
+    by[c] *= scale;
+  }
+  by[C0] = by[C0] / FULL_MASS - scale * sum;
+}

@@ -1,0 +1,332 @@
+// Frames backwards, the last ones first: the gradient by the decoder's output, through decoder, core and context, through what is
+// gathered from the nodes and summed on them, through encoder and features to the state that was predicted.
+
+// The gradient by the decoder's output of sheets from `first` on, in its place. `by_state` has the gradient by the state of the
+// next frame, where the network went on from it; where this frame's was predicted as well, the gradient by it takes its place,
+// but for the part through the network. grid (ceil(most / 256), sheets), block 256
+extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Plan* __restrict__ plan, int first) {
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y, t = sheet / s.batch, b = sheet % s.batch;
+  const u32 p = blockIdx.x * 256 + threadIdx.x, n = particles_of(s, b);
+  if (p >= n) return;
+  const Window& window = window_of(s, b);
+  const size_t at = particle_row(s, sheet, p);
+  const Body body = s.states[at];
+  float* output = s.output + at * OUT4;
+  const Body next = unlimited(s, body, output), found = limited_body(s, next);
+  const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
+  const bool free = t + 1 >= s.warm_up, goes_on = free && t + 1 < frames_of(s);
+  const float scale = 2.0f * s.scales[(free ? 0 : s.batch) + b];
+  Body& by_state = s.by_state[particle_row(s, b, p)];
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    float gx = scale * weight.x[a] * (found.x[a] - truth.x[a]), gv = scale * weight.v[a] * (found.v[a] - truth.v[a]);
+    if (goes_on) {
+      gx += by_state.x[a];
+      gv += by_state.v[a];
+    }
+    // No gradient passes a limit.
+    if (!(next.x[a] >= s.wall_lower[a] && next.x[a] <= s.wall_upper[a])) gx = 0.0f;
+    if (!(next.v[a] >= s.slowest[a] && next.v[a] <= s.fastest[a])) gv = 0.0f;
+    output[a] = s.unit * gv;
+    output[DIM + a] = multiply_rounded(s.unit, s.dt) * gx;
+    if (t >= s.warm_up) {
+      const Fall fall = ballistic(s, body, a);
+      by_state.x[a] = fall.moves ? gx : 0.0f;
+      by_state.v[a] = fall.moves ? fmaf(s.dt, gx, gv) : 0.0f;
+    }
+  }
+}
+
+// The gradients by a unit's sums in the place of what `unit_forward` has left there, from the one by its new state; `last` is the
+// state before, `output` the new one. Returns the gradient by the state before, but for the part through the sums.
+__device__ __forceinline__ float unit_gradient(float* sums, float by, float last, float output, float cell_before, float cell, float* by_cell) {
+#if CORE == 0
+  sums[0] = by * activation_slope(output);
+  return 0.0f;
+#elif CORE == 1
+  const float z = sigmoid(sums[0]), c = positive_candidate(sums[1]);
+  sums[0] = by * (c - last) * z * (1.0f - z);
+  sums[1] = by * z * positive_slope(sums[1]);
+  return by * (1.0f - z);
+#elif CORE == 2
+  const float f = sigmoid(sums[0]), i = sigmoid(sums[1]), c = positive_candidate(sums[2]);
+#if NORMALIZED
+  const float inverse = divide(1.0f, f + i + MIN_GATE_SUM), u = i * inverse, by_share = by * (c - last) * inverse;
+  const float by_f = -by_share * u, by_i = by_share * (1.0f - u), by_c = by * u, before = by * (1.0f - u);
+#else
+  const float by_f = by * last, by_i = by * c, by_c = by * i, before = by * f;
+#endif
+  sums[0] = by_f * f * (1.0f - f);
+  sums[1] = by_i * i * (1.0f - i);
+  sums[2] = by_c * positive_slope(sums[2]);
+  return before;
+#elif CORE == 3
+  const float r = sums[0], z = sums[1], n = sums[2], by_n = by * (1.0f - z) * (1.0f - n * n);
+  sums[0] = by_n * sums[3] * r * (1.0f - r);
+  sums[1] = by * (last - n) * z * (1.0f - z);
+  sums[2] = by_n;
+  sums[3] = by_n * r;
+  return by * z;
+#else
+  const float i = sums[0], f = sums[1], g = sums[2], o = sums[3], t = hyperbolic_tangent(cell);
+  const float by_c = fmaf(by * o, 1.0f - t * t, *by_cell);
+  sums[0] = by_c * g * i * (1.0f - i);
+  sums[1] = by_c * cell_before * f * (1.0f - f);
+  sums[2] = by_c * i * (1.0f - g * g);
+  sums[3] = by * t * o * (1.0f - o);
+  *by_cell = by_c * f;
+  return 0.0f;
+#endif
+}
+
+// Through decoder, mixer, core and context, for some frames of all windows, the last one first. `w` has the turned matrices in
+// the order of `train_decode`. grid (ceil(most / LEARN_TILE), B), block THREADS, shared memory: rows of the input, two lists of
+// rows of units, rows of sums
+extern "C" __global__ void __launch_bounds__(THREADS) train_decode_gradient(const Plan* __restrict__ plan, const float* __restrict__ w, int first, int frames) {
+  DYNAMIC_SHARED(float, shared);
+  float *wide = shared, *x = wide + LEARN_TILE * LEARN_WIDE, *y = x + LEARN_TILE * LEARN_NARROW, *slots = y + LEARN_TILE * LEARN_NARROW;
+  const Plan& s = *plan;
+  const int all = frames_of(s);
+  const Tile tile = tile_of(s, blockIdx.y);
+  if (!tile.count) return;
+  const float* mixer = w + CONTEXT_SIZE + LAYERS * CORE_SIZE;
+  for (int t = first + frames - 1; t >= first; t--) {
+    const int sheet = t * s.batch + tile.b;
+    const size_t at = particle_row(s, sheet, tile.begin), here = particle_row(s, (t - first) * s.batch + tile.b, tile.begin);
+    load_tile(tile, x, LEARN_NARROW, s.output + at * OUT4, OUT4);
+    __syncthreads();
+    tile_product<LEARN_TILE, false>(x, LEARN_NARROW, y, LEARN_NARROW, mixer + MIXER_SIZE, OUT4, H4, false);
+    __syncthreads();
+    for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
+      const int row = i / H4, unit = i % H4;
+      float& by = y[row * LEARN_NARROW + unit];
+      if (row >= tile.count || !(s.mixed[(at + row) * H4 + unit] > 0.0f)) by = 0.0f;
+    }
+    __syncthreads();
+    store_tile(tile, s.by_mixed + at * H4, H4, y, LEARN_NARROW);
+    tile_product<LEARN_TILE, false>(y, LEARN_NARROW, x, LEARN_NARROW, mixer, H4, H4, false);
+    for (int layer = LAYERS - 1; layer >= 0; layer--) {
+      const float* matrix = w + CONTEXT_SIZE + layer * CORE_SIZE;
+      const size_t before = layer_row(s, layer, (all + 1) * s.batch, sheet, tile.begin), after = before + (size_t)s.batch * s.most;
+      const size_t gates_at = layer_row(s, layer, all * s.batch, sheet, tile.begin), carried = layer_row(s, layer, s.batch, tile.b, tile.begin);
+      __syncthreads();
+      for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
+        const int row = i / H4, unit = i % H4;
+        float sums[GATE_SUMS];
+#pragma unroll
+        for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate] = 0.0f;
+        if (row < tile.count) {
+          const size_t number = (carried + row) * H4 + unit;
+          float* own = s.gates + (gates_at + row) * SLOTS + unit;
+#pragma unroll
+          for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate] = own[gate * H4];
+          const float by = x[row * LEARN_NARROW + unit] + (CORE ? s.by_output[number] : 0.0f);
+          const float last = s.outputs[(before + row) * H4 + unit], output = s.outputs[(after + row) * H4 + unit];
+          float cell_before = 0.0f, cell = 0.0f, by_cell = 0.0f;
+#if CORE == 4
+          cell_before = s.cells[(before + row) * H4 + unit];
+          cell = s.cells[(after + row) * H4 + unit];
+          by_cell = s.by_cell[number];
+#endif
+          const float direct = unit_gradient(sums, by, last, output, cell_before, cell, &by_cell);
+          if (CORE) s.by_output[number] = direct;
+#if CORE == 4
+          s.by_cell[number] = by_cell;
+#endif
+#pragma unroll
+          for (int gate = 0; gate < GATE_SUMS; gate++) own[gate * H4] = sums[gate];
+        }
+#pragma unroll
+        for (int gate = 0; gate < GATE_SUMS; gate++) slots[row * ODD4(SLOTS) + gate * H4 + unit] = sums[gate];
+      }
+      __syncthreads();
+#if CORE >= 3
+      // Of GRU, the last gate's part through the state is the last slot.
+      const float* recurrent = matrix + GATES_SIZE;
+      tile_product<LEARN_TILE, false>(slots, ODD4(SLOTS), y, LEARN_NARROW, recurrent, CORE == 3 ? 2 * H4 : SLOTS, H4, false);
+#if CORE == 3
+      tile_product<LEARN_TILE, false>(slots + 3 * H4, ODD4(SLOTS), x, LEARN_NARROW, recurrent + 2 * H4 * H4, H4, H4, false);
+#endif
+      __syncthreads();
+      for (int i = threadIdx.x; i < tile.count * H4; i += THREADS) {
+        const int row = i / H4, unit = i % H4, place = row * LEARN_NARROW + unit;
+        s.by_output[(carried + row) * H4 + unit] += y[place] + (CORE == 3 ? x[place] : 0.0f);
+      }
+      __syncthreads();
+#endif
+      tile_product<LEARN_TILE, false>(slots, ODD4(SLOTS), x, LEARN_NARROW, matrix, CORE_COLUMNS, H4, false);
+    }
+    __syncthreads();
+    for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
+      const int row = i / H4, unit = i % H4;
+      float& by = x[row * LEARN_NARROW + unit];
+      if (row >= tile.count || !(s.context[(at + row) * H4 + unit] > 0.0f)) by = 0.0f;
+    }
+    __syncthreads();
+    store_tile(tile, s.by_context + at * H4, H4, x, LEARN_NARROW);
+    tile_product<LEARN_TILE, false>(x, LEARN_NARROW, wide, LEARN_WIDE, w, H4, CONCAT, false);
+    __syncthreads();
+    store_tile(tile, s.by_inputs + here * CONCAT, CONCAT, wide, LEARN_WIDE);
+    __syncthreads();
+  }
+}
+
+// Derivatives of the weights of three nodes by the distance from the first (1 / cells).
+__device__ __forceinline__ float weight_slope(float place, int node) {
+  return node == 0 ? place - 1.5f : (node == 1 ? 2.0f - 2.0f * place : place - 0.5f);
+}
+// The gradient by an axis of a particle's place (cells) of the weight of a node of its stencil.
+__device__ __forceinline__ float node_slope(const Stencil& own, int node, int axis) {
+  float product = 1.0f;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const int digit = node % 3;
+    product *= a == axis ? weight_slope(own.place[a], digit) : own.weights[a][digit];
+    node /= 3;
+  }
+  return product;
+}
+
+// The gradient by a particle's state through its features, from the one by them; that by the deformation of the particle and
+// by the velocity that was expected goes to lists.
+__device__ __forceinline__ Body features_gradient(const Plan& s, int sheet, int b, u32 p, const float* by) {
+  const Body* bodies = s.states + particle_row(s, sheet, 0);
+  const Body body = bodies[p];
+  const float unit = 1.0f / s.unit;
+  Body found;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const Fall fall = ballistic(s, body, a);
+    float* by_expected = s.by_expected + particle_row(s, b, p) * DIM + a;
+    found.v[a] = unit * (by[a] + by[DIM + a] - (fall.moves ? 0.0f : by[2 * DIM + a]));
+    // The next frame compares its velocity with the one that the ballistic step expects now.
+    if (fall.moves) found.v[a] += *by_expected;
+    *by_expected = -unit * by[DIM + a];
+    found.x[a] = 0.0f;
+    const float sides[2] = {body.x[a] - s.wall_lower[a], s.wall_upper[a] - body.x[a]};
+#pragma unroll
+    for (int side = 0; side < 2; side++) {
+      // The features decrease with the distance, which decreases with the coordinate at the upper wall.
+      if (!(sides[side] > 0.0f)) continue;
+      const float near = exponential(sides[side] * (-1.0f / CONTACT_SCALE)), far = exponential(sides[side] * (-1.0f / BODY_SCALE));
+      const float sum = by[3 * DIM + DIM * side + a] * near / CONTACT_SCALE + by[5 * DIM + DIM * side + a] * far / BODY_SCALE;
+      found.x[a] += side ? sum : -sum;
+    }
+  }
+  const u32* first = first_of(s, s.link_first, b);
+  float* by_shape = s.by_shape + particle_row(s, b, p) * (DIM * DIM + DIM);
+  for (int i = 0; i < DIM * DIM + DIM; i++) by_shape[i] = 0.0f;
+  if (!first || first[p] == first[p + 1]) return found;
+  const Deformation d = deformation(s.links, first[p], first[p + 1], bodies, body);
+  float shape[SHAPE_FEATURES], g[SHAPE_FEATURES];
+  scaled_shape(d, shape);
+  for (int i = 0; i < SHAPE_FEATURES; i++)
+    g[i] = fabsf(shape[i]) > SHAPE_LIMIT ? 0.0f : by[SHAPE_FROM + i] * (i < 3 ? STRAIN_SCALE : BEND_SCALE);
+  for (int c = 0; c < 2; c++) {
+    by_shape[c] = 2.0f * g[0] * d.f[0][c] + g[2] * d.f[1][c];
+    by_shape[2 + c] = 2.0f * g[1] * d.f[1][c] + g[2] * d.f[0][c];
+    by_shape[4 + c] = g[3 + c];
+  }
+  return found;
+}
+
+// Through the sums on the nodes and the encoder, of sheets from `first` on; where the frame was predicted, one at a time, also
+// through the features and the places on the grid, to `by_state`. The matrices are turned.
+// grid (ceil(most / LEARN_TILE), sheets), block THREADS, shared memory: rows of outputs, of the hidden layer, of features; of
+// numbers of a stencil's nodes; each particle's stencil
+extern "C" __global__ void __launch_bounds__(THREADS) train_encode_gradient(const Plan* __restrict__ plan, const float* __restrict__ first_matrix,
+    const float* __restrict__ second_matrix, int first, int predicted) {
+  DYNAMIC_SHARED(float, shared);
+  float *by_encoded = shared, *by_hidden = by_encoded + LEARN_TILE * ODD4(C04), *by_features = by_hidden + LEARN_TILE * ODD4(E4);
+  float* dots = by_features + LEARN_TILE * ODD4(F4);
+  Stencil* stencils = (Stencil*)(dots + LEARN_TILE * STENCIL);
+  const Plan& s = *plan;
+  const int sheet = first + blockIdx.y, b = sheet % s.batch;
+  const Tile tile = tile_of(s, b);
+  if (!tile.count) return;
+  const size_t at = particle_row(s, sheet, tile.begin), here = particle_row(s, blockIdx.y, tile.begin);
+  const float* slopes = s.slopes[0] + (size_t)sheet * s.nodes[0] * INPUT4;
+  const float* field = s.fields[FIELDS - 1] + (size_t)sheet * s.nodes[0] * C04;
+  for (int row = threadIdx.x; row < tile.count; row += THREADS) stencils[row] = stencil_of(s, sheet, s.states[at + row]);
+  __syncthreads();
+  for (int i = threadIdx.x; i < LEARN_TILE * C04; i += THREADS) {
+    const int row = i / C04, k = i % C04;
+    float sum = 0.0f;
+    // Behind the channels are the mass and others.
+    if (row < tile.count && k < C0) {
+      const Stencil& own = stencils[row];
+#pragma unroll
+      for (int j = 0; j < STENCIL_ROWS; j++)
+#pragma unroll
+        for (int c = 0; c < 3; c++)
+          sum = fmaf(own.weights[0][c] * row_weight(own.weights, j), slopes[(size_t)(own.rows[j] + c) * INPUT4 + k], sum);
+    }
+    by_encoded[row * ODD4(C04) + k] = sum;
+  }
+  __syncthreads();
+  store_tile(tile, s.by_encoded + at * C04, C04, by_encoded, ODD4(C04));
+  tile_product<LEARN_TILE, false>(by_encoded, ODD4(C04), by_hidden, ODD4(E4), second_matrix, C04, E4, false);
+  __syncthreads();
+  for (int i = threadIdx.x; i < LEARN_TILE * E4; i += THREADS) {
+    const int row = i / E4, unit = i % E4;
+    float& by = by_hidden[row * ODD4(E4) + unit];
+    if (row >= tile.count || !(s.hidden[(at + row) * E4 + unit] > 0.0f)) by = 0.0f;
+  }
+  __syncthreads();
+  store_tile(tile, s.by_hidden + at * E4, E4, by_hidden, ODD4(E4));
+  if (!predicted) return;
+  tile_product<LEARN_TILE, false>(by_hidden, ODD4(E4), by_features, ODD4(F4), first_matrix, E4, F4, false);
+  // What a node's numbers add up to for a particle: of those that it gathers, and of those that it is summed up in.
+  for (int i = threadIdx.x; i < tile.count * STENCIL; i += THREADS) {
+    const int row = i / STENCIL, node = i % STENCIL;
+    const size_t place = stencils[row].rows[node / 3] + node % 3;
+    const float* gathered = s.by_inputs + (here + row) * CONCAT + F4;
+    const float* encoded = s.encoded + (at + row) * C04;
+    float sum = slopes[place * INPUT4 + C0];
+#pragma unroll 4
+    for (int c = 0; c < C0; c++) sum = fmaf(gathered[c], field[place * C04 + c], fmaf(encoded[c], slopes[place * INPUT4 + c], sum));
+    dots[i] = sum;
+  }
+  __syncthreads();
+  for (int row = threadIdx.x; row < tile.count; row += THREADS) {
+    float by[F4];
+    for (int k = 0; k < F4; k++) by[k] = by_features[row * ODD4(F4) + k] + s.by_inputs[(here + row) * CONCAT + k];
+    const Body found = features_gradient(s, sheet, b, tile.begin + row, by);
+    Body& to = s.by_state[particle_row(s, b, tile.begin + row)];
+#pragma unroll
+    for (int a = 0; a < DIM; a++) {
+      float slope = 0.0f;
+#pragma unroll
+      for (int node = 0; node < STENCIL; node++) slope = fmaf(dots[row * STENCIL + node], node_slope(stencils[row], node, a), slope);
+      to.x[a] += found.x[a] + slope / s.width;
+      to.v[a] += found.v[a];
+    }
+  }
+}
+
+// The part of the gradient by the positions through the shapes: a particle's own, and those that it is a neighbour in.
+// grid (ceil(most / 256), B), block 256
+extern "C" __global__ void __launch_bounds__(256) train_shape_gradient(const Plan* __restrict__ plan) {
+  const Plan& s = *plan;
+  const int b = blockIdx.y;
+  const u32 p = blockIdx.x * 256 + threadIdx.x;
+  if (p >= particles_of(s, b)) return;
+  const u32 *first = first_of(s, s.link_first, b), *incoming = first_of(s, s.incoming_first, b);
+  const float* own = s.by_shape + particle_row(s, b, p) * (DIM * DIM + DIM);
+  float sum[2] = {0.0f, 0.0f};
+  for (u32 i = first[p]; i < first[p + 1]; i++) {
+    const Link link = s.links[i];
+#pragma unroll
+    for (int a = 0; a < 2; a++) sum[a] -= own[2 * a] * link.coefficient[0] + own[2 * a + 1] * link.coefficient[1] + own[4 + a] * link.share;
+  }
+  for (u32 i = incoming[p]; i < incoming[p + 1]; i++) {
+    const Link link = s.incoming[i];
+    const float* other = s.by_shape + particle_row(s, b, link.particle) * (DIM * DIM + DIM);
+#pragma unroll
+    for (int a = 0; a < 2; a++) sum[a] += other[2 * a] * link.coefficient[0] + other[2 * a + 1] * link.coefficient[1] + other[4 + a] * link.share;
+  }
+  Body& to = s.by_state[particle_row(s, b, p)];
+#pragma unroll
+  for (int a = 0; a < 2; a++) to.x[a] += sum[a];
+}

@@ -1,0 +1,173 @@
+// Training of the particle model, beside the kernels that predict with it. A sheet is a frame of a window: sheet t B + b is frame
+// t of window b, and sheets have a grid each. Lists of particles are [T, B, most, ..] in the order of the particles, `most`
+// being those of the largest window; lists of nodes are [T, B, nodes, ..], as long as there can be nodes. Sums have a fixed
+// order; only integers are counted atomically.
+//
+// Constants beside those of the predictions:
+//   LEARN_TILE  particles of a block
+//   LEARN_NODES nodes of a block
+
+// Nodes of a stencil, nodes of it behind each other, children of a node.
+#if DIM == 2
+#define STENCIL 9
+#else
+#define STENCIL 27
+#endif
+#define STENCIL_ROWS (STENCIL / 3)
+#define CHILDREN (1 << DIM)
+// Lists of features at nodes: what particles sum up, then the outputs of the layers.
+#define FIELDS 12
+#define OUT4 ROUND4(2 * DIM)
+
+// What all kernels of a step share.
+struct Plan {
+  // Trajectories: bodies of all frames; of each stream the number of its particles and their materials, [streams, most].
+  const Body* store;
+  const u32* counts;
+  const unsigned char* material;
+  // First link of each particle, [2 streams, most + 1], of a stream as it is and mirrored; the same of the links to a
+  // particle. None, where no particle has a rest shape.
+  const u32* link_first;
+  const Link* links;
+  const u32* incoming_first;
+  const Link* incoming;
+  // The step.
+  const Window* windows;
+  const Progress* progress;
+  const Body* error_weights; // [unroll, B, MATERIALS]
+  // Kept of each frame.
+  Body* states;
+  u32* starts;               // [T, B, cells + 1] first slot of each cell
+  u32* order;                // particle of each slot: by cells, then by number
+  float* weights;            // weights of the particle in a slot, 3 for each axis
+  u32* maps[LEVELS];         // number of each node
+  u32* lists[LEVELS];        // entry of each node
+  u32* totals;               // [T, B, LEVELS] nodes
+  float* inputs;             // [.., CONCAT] features and gathered numbers
+  float* hidden;             // [.., E4] of the encoder
+  float* encoded;            // [.., C04]
+  float* context;            // [.., H4]
+  float* gates;              // [LAYERS, T, B, most, GATE_SUMS H4], later gradients by the sums
+  float* outputs;            // [LAYERS, T + 1, B, most, H4] of the core, those before the first frame first
+  float* cells;              // the same of LSTM
+  float* mixed;              // [.., H4]
+  float* output;             // [.., OUT4] of the decoder, later gradients by it
+  float* fields[FIELDS];
+  // Gradients of each frame, by the sums before the activations.
+  float* by_hidden;
+  float* by_encoded;
+  float* by_context;
+  float* by_mixed;
+  float* slopes[FIELDS];
+  // Of the frames that are computed together.
+  u32* cell_counts;          // [.., cells]
+  u32* cell_of;              // cell of each particle
+  u32* arrivals;             // place among the particles of the cell, in any order
+  u32* unsorted;             // particles by cells, in any order within a cell
+  float* by_inputs;          // [.., CONCAT]
+  // Gradients that go from a frame to the one before.
+  Body* by_state;            // [B, most]
+  float* by_output;          // [LAYERS, B, most, H4] by the core's outputs
+  float* by_cell;
+  float* by_expected;        // [B, most, DIM] by the velocities that the ballistic step expects
+  float* by_shape;           // [B, most, DIM DIM + DIM] by deformation gradient and bend
+  // The loss.
+  float* squares;            // [T, B, chunks]
+  float* scales;             // [2, B] free, observed
+  int batch, warm_up, unroll, most;
+  int weights_step;          // bodies of error weights from a step to the next one
+  u32 across[DIM];           // of the map of level 0
+  u32 entries[LEVELS];
+  u32 nodes[LEVELS];         // most nodes
+  float lower[DIM], extent[DIM]; // the domain's lower corner, its size (cells)
+  float width;               // of a cell
+  float wall_lower[DIM], wall_upper[DIM], fall[DIM], dt;
+  float unit;                // of velocities
+  float slowest[DIM], fastest[DIM];
+  float sides, even;         // left plus right wall; weight of observed frames
+};
+
+__device__ __forceinline__ const Window& window_of(const Plan& s, int b) { return s.windows[(size_t)s.progress->step * s.batch + b]; }
+__device__ __forceinline__ u32 particles_of(const Plan& s, int b) { return s.counts[window_of(s, b).stream]; }
+// Numbers of a particle's place in lists that go over layers and frames.
+__device__ __forceinline__ size_t particle_row(const Plan& s, int sheet, u32 p) { return (size_t)sheet * s.most + p; }
+__device__ __forceinline__ size_t layer_row(const Plan& s, int layer, int sheets, int sheet, u32 p) {
+  return particle_row(s, layer * sheets + sheet, p);
+}
+__device__ __forceinline__ int frames_of(const Plan& s) { return s.warm_up + s.unroll - 1; }
+
+// Distance between nodes that are neighbours along an axis, in a map.
+__device__ __forceinline__ int map_step(const Plan& s, int level, int axis) {
+  int step = 1;
+  for (int a = 0; a < axis; a++) step *= (int)(s.across[a] >> level);
+  return step;
+}
+// Entry of the cell with the lowest node of a particle's stencil at `base`.
+__device__ __forceinline__ u32 cell_entry(const Plan& s, const int* base) {
+  int entry = 0;
+#pragma unroll
+  for (int a = DIM - 1; a >= 0; a--) entry = entry * (int)s.across[a] + base[a] + ORIGIN;
+  return (u32)entry;
+}
+// From the entry of a node to the one at digit `place` (base 3 for each axis from -1 on; base 2 from 0 on).
+__device__ __forceinline__ int neighbour_step(const Plan& s, int level, int place) {
+  int step = 0;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    step += (place % 3 - 1) * map_step(s, level, a);
+    place /= 3;
+  }
+  return step;
+}
+// Entry of a child in the map of the next finer level.
+__device__ __forceinline__ u32 child_entry(const Plan& s, int level, u32 entry, int place) {
+  u32 child = 0;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const u32 across = s.across[a] >> level, at = a + 1 < DIM ? entry % across : entry;
+    child += (2 * at + ((place >> a) & 1)) * (u32)map_step(s, level - 1, a);
+    entry /= across;
+  }
+  return child;
+}
+
+// A particle's stencil: weights of its nodes along each axis, and the first node of each of its rows.
+struct Stencil {
+  float weights[DIM][3];
+  float place[DIM]; // distance from the lowest node (cells)
+  u32 rows[STENCIL_ROWS];
+};
+__device__ __forceinline__ Stencil stencil_of(const Plan& s, int sheet, const Body& body) {
+  Stencil found;
+  int base[DIM];
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const float place = cell_place(s, body, a), lowest = stencil(place);
+    base[a] = (int)lowest;
+    found.place[a] = place - lowest;
+    spline_weights(found.place[a], found.weights[a]);
+  }
+  const u32 entry = cell_entry(s, base);
+  const u32* map = s.maps[0] + (size_t)sheet * s.entries[0];
+#pragma unroll
+  for (int row = 0; row < STENCIL_ROWS; row++) {
+    int step = 0, rest = row;
+#pragma unroll
+    for (int a = 1; a < DIM; a++) {
+      step += rest % 3 * map_step(s, 0, a);
+      rest /= 3;
+    }
+    found.rows[row] = map[entry + step];
+  }
+  return found;
+}
+// The weight of a row of a stencil, from the weights of the other axes.
+__device__ __forceinline__ float row_weight(const float (*weights)[3], int row) {
+  float product = 1.0f;
+#pragma unroll
+  for (int a = 1; a < DIM; a++) {
+    product *= weights[a][row % 3];
+    row /= 3;
+  }
+  return product;
+}

@@ -1,0 +1,205 @@
+//! Training steps of the particle model: windows out of the store, forward, loss, backward, Adam.
+//!
+//! The warm-up's W frames go through the network together, but for its core; each further frame goes alone, from the prediction
+//! before. The backward pass takes these frames in the reverse order. Everything that it needs is kept, and so are the gradients
+//! by all sums, from which those by the weights are made at the end: for each window on its own, since one whose prediction
+//! diverges must not count, as on the CPU.
+//!
+//! | stage | a block has | reads | writes |
+//! |---|---|---|---|
+//! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
+//! | encode | a tile of particles | particles, links | features, encoded `[n, C0]` |
+//! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
+//! | 11 layers | a few nodes | a field | another field |
+//! | decode | a tile of particles | field 11, features, states | states, outputs |
+//! | advance | 256 particles | outputs, trajectories | the next frame's particles, squares of errors |
+//!
+//! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.
+//! 2. `plan`: the memory of a step.
+//! 3. `forward`, `backward`: its phases. `weights`: the gradients by the weights.
+
+#![expect(unsafe_code, reason = "launches on memory of the device")]
+
+mod backward;
+mod forward;
+mod layout;
+mod plan;
+mod store;
+mod weights;
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use eddy_inference::checkpoint::{Description, Weights};
+
+pub use layout::TrainingConstants;
+pub use store::{Store, StoreWriter};
+
+use layout::Layout;
+use plan::Memory;
+use weights::Outers;
+
+use crate::{
+    device::{Argument, Buffer, Device, MOST_BLOCKS, Queue, Shape},
+    error::{CudaError, Result},
+    graphs::Graphs,
+    kernels::Kernel,
+    training::{Batch, InTraining, Optimizer, Settings, Tables},
+};
+
+/// Training of a particle model on a device that has the kernels of [`TrainingConstants`].
+pub struct Training {
+    device: Arc<dyn Device>,
+    store: Arc<Store>,
+    settings: Settings,
+    constants: TrainingConstants,
+    layout: Layout,
+    optimizer: Optimizer,
+    tables: Tables,
+    memory: Memory,
+    /// The matrices for the way back, and what they are made of.
+    turned: Buffer,
+    turns: Buffer,
+    outers: Outers,
+    graph: Graphs<()>,
+}
+
+impl Training {
+    /// Memory for steps of these settings, weights all zero.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`], [`CudaError::Memory`], [`CudaError::Call`].
+    pub fn new(
+        device: Arc<dyn Device>,
+        store: Arc<Store>,
+        description: &Description,
+        settings: &Settings,
+    ) -> Result<Self> {
+        check(settings)?;
+        let constants = TrainingConstants::of(description)?;
+        let layout = Layout::new(description, &constants);
+        let tables = Tables::new(&device, settings, true)?;
+        let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
+        let turns = layout.turns();
+        let training = Self {
+            optimizer: Optimizer::new(&device, &layout.packing, settings)?,
+            turned: device.allocate(4 * layout.packing.size)?,
+            turns: device.allocate(size_of_val(turns.as_slice()))?,
+            outers: Outers::new(&*device, &layout, &constants, &memory.plan, settings)?,
+            graph: Graphs::new(1),
+            settings: settings.clone(),
+            tables,
+            memory,
+            constants,
+            layout,
+            store,
+            device,
+        };
+        training.device.write(&training.turns, 0, bytemuck::cast_slice(&turns))?;
+        Ok(training)
+    }
+
+    fn frames(&self) -> usize {
+        self.settings.warm_up + self.settings.unroll - 1
+    }
+
+    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
+        // SAFETY: every call passes the kernel's parameters in type and order, and buffers that `new` has made for these shapes.
+        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    }
+
+    /// The plan, as the first argument of kernels.
+    fn plan(&self) -> Argument {
+        self.memory.device_plan.address().into()
+    }
+
+    /// Blocks over so many items each of so many windows' frames.
+    fn over(items: usize, each: usize, sheets: usize) -> Shape {
+        Shape::new(items.div_ceil(each), sheets, each)
+    }
+
+    /// Blocks over tiles of particles.
+    fn tiles(&self, sheets: usize, shared: usize) -> Shape {
+        let blocks = self.store.most().div_ceil(self.constants.tile);
+        Shape { shared, ..Shape::new(blocks, sheets, TILE_THREADS) }
+    }
+
+    /// Puts a whole step into the queue.
+    fn step(&self) -> Result<()> {
+        let Settings { batch, warm_up, noise: [positions, velocities], .. } = self.settings;
+        self.turn()?;
+        let shape = Self::over(self.store.most(), plan::PARTICLE_THREADS, warm_up * batch);
+        let arguments = [self.plan(), positions.into(), velocities.into()];
+        self.launch(Kernel::TrainObserve, shape, &arguments)?;
+        let segments: Vec<(usize, usize)> =
+            std::iter::once((0, warm_up)).chain((warm_up..self.frames()).map(|t| (t, 1))).collect();
+        segments.iter().try_for_each(|&(first, frames)| self.forward(first, frames))?;
+        self.loss()?;
+        for carried in &self.memory.carried {
+            self.device.clear(Queue::Main, carried)?;
+        }
+        segments.iter().rev().try_for_each(|&(first, frames)| self.backward(first, frames))?;
+        self.learn()?;
+        self.optimizer.finish(&self.tables)
+    }
+}
+
+/// Threads of a block that has a tile of particles, `THREADS` of the kernels.
+const TILE_THREADS: usize = 128;
+
+/// What steps of the particle model on a GPU cannot do, and the largest numbers of blocks.
+fn check(settings: &Settings) -> Result<()> {
+    let Settings { batch, warm_up, density_weight, dropout, .. } = *settings;
+    let unsupported = |setting: String, expected| Err(CudaError::Unsupported { setting, expected });
+    if density_weight > 0.0 {
+        let setting = format!("loss.density_weight = {density_weight} for the particle model");
+        return unsupported(setting, "0");
+    }
+    if dropout > 0.0 {
+        let setting = format!("network.dropout = {dropout} for the particle model");
+        return unsupported(setting, "0");
+    }
+    if batch * warm_up > MOST_BLOCKS {
+        let setting = format!("windows.batch x windows.warm_up = {}", batch * warm_up);
+        return unsupported(setting, "at most 65535");
+    }
+    Ok(())
+}
+
+impl InTraining for Training {
+    fn optimizer(&self) -> &Optimizer {
+        &self.optimizer
+    }
+
+    fn tables(&self) -> &Tables {
+        &self.tables
+    }
+
+    fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
+        self.optimizer.write_weights(&self.layout.packing.pack(tensors))
+    }
+
+    fn start(&mut self, batches: &[Batch]) -> Result<()> {
+        let frames = self.settings.warm_up + self.settings.unroll;
+        let mut windows = batches.iter().flat_map(|batch| &batch.windows);
+        assert!(
+            windows.all(|window| self.store.contains(window, frames)),
+            "windows within their streams"
+        );
+        self.tables.write(batches, |_, _, window| self.store.first(window))?;
+        for _ in batches {
+            self.graph.run(&*self.device, (), || self.step())?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Training {
+    /// Waits for all work, before memory that it uses is given back, and before the device leaves its group, which recorded
+    /// steps know.
+    fn drop(&mut self) {
+        if let Err(reason) = self.device.finish() {
+            tracing::debug!("a GPU was lost: {reason}");
+        }
+        self.graph.clear();
+    }
+}

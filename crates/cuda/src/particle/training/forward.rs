@@ -1,0 +1,145 @@
+//! Frames through the network, and the loss.
+
+use super::{
+    Training,
+    layout::{FIELD_LEVELS, NODE_LAYERS, Stencil},
+    plan::PARTICLE_THREADS,
+};
+use crate::{
+    device::{Address, Argument, Shape},
+    error::Result,
+    kernels::Kernel,
+    particle::layout::{MOST_PARTS, NODE_THREADS, ROWS, odd},
+    training::{Matrix, Settings},
+};
+
+/// Threads of a block that lists cells, `CELL_THREADS` of the kernels.
+const CELL_THREADS: usize = 512;
+/// Threads of a block of the sums on nodes.
+pub(super) const NODE_SUM_THREADS: usize = 128;
+
+/// A layer on nodes, in either direction.
+pub(super) struct NodeLayer {
+    /// `NEIGHBOURS`, `FROM_CHILDREN`, `TO_CHILDREN` of the kernels.
+    pub(super) stencil: usize,
+    pub(super) weights: Address,
+    pub(super) bias: Address,
+    /// Lists read and written, and their widths.
+    pub(super) lists: [u64; 2],
+    pub(super) widths: [usize; 2],
+    /// Level of the blocks' nodes.
+    pub(super) level: usize,
+    /// A list that is added; where no gradient passes.
+    pub(super) add: u64,
+    pub(super) mask: u64,
+    pub(super) rectified: bool,
+}
+
+impl Stencil {
+    /// As the kernels count them.
+    pub(super) fn number(self) -> usize {
+        match self {
+            Self::Neighbours => 0,
+            Self::FromChildren => 1,
+            Self::ToChildren { .. } => 2,
+        }
+    }
+}
+
+/// Rows that a layer gathers, and children that it writes to, by the stencil's number.
+pub(super) const PLACES: [usize; 3] = [9, 4, 1];
+pub(super) const TARGETS: [usize; 3] = [1, 1, 4];
+
+impl Training {
+    /// A layer on the nodes of `sheets` sheets from `first` on.
+    pub(super) fn layer(&self, layer: &NodeLayer, first: usize, sheets: usize) -> Result<()> {
+        let NodeLayer {
+            stencil, weights, bias, lists: [from, to], widths: [width, outputs], ..
+        } = *layer;
+        let (inner, columns) = (PLACES[stencil] * width, TARGETS[stencil] * outputs);
+        let nodes = self.constants.nodes;
+        let items = nodes / ROWS * columns / 4;
+        let parts = (NODE_THREADS / items).min(inner / 16).clamp(1, MOST_PARTS);
+        let shared = 4 * (nodes * odd(inner)).max((parts - 1) * nodes * columns);
+        let places = [weights.0, bias.0, from, to, layer.add, layer.mask];
+        let numbers = [stencil, layer.level, width, outputs, usize::from(layer.rectified), parts];
+        let mut bytes = bytemuck::cast_slice(&places).to_vec();
+        bytes.extend_from_slice(bytemuck::cast_slice(&numbers.map(|number| number as u32)));
+        let blocks = self.memory.nodes[layer.level].div_ceil(nodes);
+        let shape = Shape { shared, ..Shape::new(blocks, sheets, NODE_THREADS) };
+        let arguments = [self.plan(), Argument::from_bytes(&bytes), first.into()];
+        self.launch(Kernel::TrainLayer, shape, &arguments)
+    }
+
+    pub(super) fn weight(&self, matrix: &Matrix) -> Address {
+        self.optimizer.weight(matrix)
+    }
+
+    /// Frames `first..first + frames` through the network.
+    pub(super) fn forward(&self, first: usize, frames: usize) -> Result<()> {
+        let batch = self.settings.batch;
+        let (sheet, sheets) = (first * batch, frames * batch);
+        let (plan, most) = (self.plan(), self.store.most());
+        let [c0, ..] = self.constants.network.channels;
+        let cells = Shape::new(1, sheets, CELL_THREADS);
+        self.launch(Kernel::TrainCells, cells, &[plan, sheet.into()])?;
+        let [encoder, second] = &self.layout.encoder;
+        self.launch(
+            Kernel::TrainEncode,
+            self.tiles(sheets, self.constants.encode_bytes()),
+            &[plan, self.weight(encoder).into(), self.weight(second).into(), sheet.into()],
+        )?;
+        let items = self.memory.nodes[0] * (c0.div_ceil(4) + 1);
+        let shape = Self::over(items, NODE_SUM_THREADS, sheets);
+        self.launch(Kernel::TrainToNodes, shape, &[plan, sheet.into()])?;
+        let (widths, fields) = (self.constants.field_widths(), &self.memory.plan.fields);
+        for (matrix, (stencil, from, to)) in self.layout.grid.iter().zip(NODE_LAYERS) {
+            let (level, add) = match stencil {
+                Stencil::ToChildren { skip } => (FIELD_LEVELS[from], fields[skip]),
+                _ => (FIELD_LEVELS[to], 0),
+            };
+            let layer = NodeLayer {
+                stencil: stencil.number(),
+                weights: self.weight(matrix),
+                bias: self.weight(matrix).plus(matrix.bias * matrix.columns),
+                lists: [fields[from], fields[to]],
+                widths: [widths[from], widths[to]],
+                level,
+                add,
+                mask: 0,
+                rectified: to + 1 < fields.len(),
+            };
+            self.layer(&layer, sheet, sheets)?;
+        }
+        self.launch(
+            Kernel::TrainDecode,
+            self.tiles(batch, self.constants.decode_bytes()),
+            &[plan, self.weight(&self.layout.context).into(), first.into(), frames.into()],
+        )?;
+        let shape = Self::over(most, PARTICLE_THREADS, sheets);
+        self.launch(Kernel::TrainAdvance, shape, &[plan, sheet.into()])
+    }
+
+    /// The loss, once all frames are predicted.
+    pub(super) fn loss(&self) -> Result<()> {
+        let Settings { batch, warm_up, unroll, relative, observed_weight, .. } = self.settings;
+        let counts = [batch, warm_up, unroll, 0].map(|count| count as u32);
+        let plan = &self.memory.plan;
+        self.launch(
+            Kernel::Loss,
+            Shape::new(1, 1, 256),
+            &[
+                plan.squares.into(),
+                self.store.most().div_ceil(PARTICLE_THREADS).into(),
+                Address::NULL.into(),
+                0.0.into(),
+                Argument::from_bytes(bytemuck::cast_slice(&counts)),
+                usize::from(relative).into(),
+                observed_weight.into(),
+                plan.scales.into(),
+                self.tables.progress.address().into(),
+                self.tables.outcomes.address().into(),
+            ],
+        )
+    }
+}

@@ -1,0 +1,298 @@
+//! What the kernels of a training are compiled for, and where tensors are in the memory of the device.
+//!
+//! | layer | rows | columns |
+//! |---|---|---|
+//! | `encoder.0`, `encoder.1` | F, E | E, C0 |
+//! | `grid.*` | rows of the gathered nodes one behind the other | channels; of `up` for each child |
+//! | `context` | F, C0 | H |
+//! | core: from the input, then, of GRU and LSTM, from the last output | H | gates side by side |
+//! | `mixer` | H | H |
+//! | `decoder` | H | 4 |
+//!
+//! Widths are rounded up to 4; the bias is the row behind them.
+
+use eddy_inference::checkpoint::{
+    Core, Description,
+    layout::{self, NODE_FEATURES, PARTICLE_FEATURES},
+};
+
+use crate::{
+    error::{CudaError, Result},
+    kernels::{AXES, PARTICLE_TRAINING_SOURCE, Program, gates},
+    particle::layout::{Constants, ROWS, SHARED, fitting, four, odd},
+    training::{Builder, Matrix, Packing, Part},
+};
+
+/// Bytes of `struct Stencil` of the kernels.
+const STENCIL: usize = 4 * (4 * AXES + 3);
+
+/// What a layer on nodes reads: the 3 x 3 around a node, its children, or its parent and a list that is added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stencil {
+    Neighbours,
+    FromChildren,
+    ToChildren { skip: usize },
+}
+
+/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
+pub(super) const NODE_LAYERS: [(Stencil, usize, usize); 11] = [
+    (Stencil::Neighbours, 0, 1),
+    (Stencil::Neighbours, 1, 2),
+    (Stencil::FromChildren, 2, 3),
+    (Stencil::Neighbours, 3, 4),
+    (Stencil::FromChildren, 4, 5),
+    (Stencil::Neighbours, 5, 6),
+    (Stencil::Neighbours, 6, 7),
+    (Stencil::ToChildren { skip: 4 }, 7, 8),
+    (Stencil::Neighbours, 8, 9),
+    (Stencil::ToChildren { skip: 2 }, 9, 10),
+    (Stencil::Neighbours, 10, 11),
+];
+/// Lists of features at nodes, `FIELDS` of the kernels.
+pub(super) const FIELDS: usize = 12;
+/// The level of each.
+pub(super) const FIELD_LEVELS: [usize; FIELDS] = [0, 0, 0, 1, 1, 2, 2, 2, 1, 1, 0, 0];
+
+/// What the kernels of a training, which also predict, are compiled for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainingConstants {
+    /// Those of the predictions.
+    pub(super) network: Constants,
+    /// Particles of a block.
+    pub(super) tile: usize,
+    /// Nodes of a block.
+    pub(super) nodes: usize,
+}
+
+impl TrainingConstants {
+    /// Of a described particle model.
+    ///
+    /// # Errors
+    /// [`CudaError::Unsupported`] for the frame model and for layers that are too wide.
+    pub fn of(description: &Description) -> Result<Self> {
+        let network = Constants::of(description)?;
+        let bytes = |tile| {
+            let sized = Self { network: network.clone(), tile, nodes: ROWS };
+            [
+                sized.encode_bytes(),
+                sized.decode_bytes(),
+                sized.decode_gradient_bytes(),
+                sized.encode_gradient_bytes(),
+            ]
+            .into_iter()
+            .max()
+            .unwrap_or_default()
+        };
+        let Some(tile) = fitting(&[64, 32, 16, 8, ROWS], bytes) else {
+            let (encoder, hidden) = (network.encoder, network.hidden);
+            let setting = format!("network.encoder {encoder} with network.hidden {hidden}");
+            let expected = "at most about 900 for each to train on a GPU";
+            return Err(CudaError::Unsupported { setting, expected });
+        };
+        let widest = network.field_widths().into_iter().max().unwrap_or_default();
+        let bytes = |nodes| 4 * nodes * (odd(9 * widest) + odd(4 * widest));
+        let Some(nodes) = fitting(&[16, 8, ROWS], bytes) else {
+            let setting = format!("network.channels {:?}", network.channels);
+            let expected = "at most about 700 each to train on a GPU";
+            return Err(CudaError::Unsupported { setting, expected });
+        };
+        Ok(Self { network, tile, nodes })
+    }
+
+    /// Widths of the lists of features at nodes.
+    pub(super) fn field_widths(&self) -> [usize; FIELDS] {
+        let [c0, c1, c2] = self.network.channels;
+        [c0 + NODE_FEATURES, c0, c0, c1, c1, c2, c2, c2, c1, c1, c0, c0].map(four)
+    }
+
+    /// E rounded up.
+    pub(super) fn encoder_columns(&self) -> usize {
+        four(self.network.encoder)
+    }
+
+    /// Sums of a unit that are kept, `GATE_SUMS` of the kernels: GRU keeps the products of n with the state apart.
+    pub(super) fn sums(&self) -> usize {
+        if self.network.core == Core::Gru { 4 } else { gates(self.network.core) }
+    }
+
+    /// Numbers of those of all units.
+    pub(super) fn slots(&self) -> usize {
+        self.sums() * self.network.hidden_columns()
+    }
+
+    /// Columns of the decoder.
+    pub(super) fn output_columns(&self) -> usize {
+        four(2 * AXES)
+    }
+
+    /// Shared memory of a block of each kernel with tiles (bytes).
+    pub(super) fn encode_bytes(&self) -> usize {
+        let widths = [PARTICLE_FEATURES, self.network.encoder, self.network.channels[0]];
+        4 * self.tile * widths.map(|width| odd(four(width))).iter().sum::<usize>()
+    }
+
+    fn units_bytes(&self) -> usize {
+        let hidden = self.network.hidden_columns();
+        let wide = odd(self.network.context_rows().max(hidden));
+        4 * self.tile * (wide + 2 * odd(hidden))
+    }
+
+    pub(super) fn decode_bytes(&self) -> usize {
+        self.units_bytes() + self.tile * STENCIL
+    }
+
+    pub(super) fn decode_gradient_bytes(&self) -> usize {
+        self.units_bytes() + 4 * self.tile * odd(self.slots())
+    }
+
+    pub(super) fn encode_gradient_bytes(&self) -> usize {
+        self.encode_bytes() + self.tile * (4 * 3usize.pow(AXES as u32) + STENCIL)
+    }
+}
+
+impl Program for TrainingConstants {
+    fn source(&self) -> &'static str {
+        PARTICLE_TRAINING_SOURCE
+    }
+
+    fn definitions(&self) -> Vec<(&'static str, usize)> {
+        let own = [("LEARN_TILE", self.tile), ("LEARN_NODES", self.nodes)];
+        self.network.definitions().into_iter().chain(own).collect()
+    }
+}
+
+/// The matrices of a network, in the order of the forward pass.
+pub(super) struct Layout {
+    /// `encoder.0`, `encoder.1`.
+    pub(super) encoder: [Matrix; 2],
+    /// `grid.*`.
+    pub(super) grid: Vec<Matrix>,
+    /// `context`.
+    pub(super) context: Matrix,
+    /// For each layer of the core: the gates from its input, and those from its last output, if it has them.
+    pub(super) core: Vec<(Matrix, Option<Matrix>)>,
+    /// `mixer`.
+    pub(super) mixer: Matrix,
+    /// `decoder`.
+    pub(super) decoder: Matrix,
+    /// All of them.
+    pub(super) packing: Packing,
+}
+
+impl Layout {
+    pub(super) fn new(description: &Description, constants: &TrainingConstants) -> Self {
+        let mut builder = Builder::default();
+        let mut matrix = |parts: Vec<Part>, inputs: Vec<usize>, inner: usize| {
+            let stride = four(parts[0].outputs);
+            builder.matrix(parts, inputs, inner, inner + 1, stride)
+        };
+        let part = |names, gates, outputs| Part { names, gates, outputs, shares_bias: false };
+        let one = |name: &str, outputs| vec![part(layout::names(name), 1, outputs)];
+        let Constants { encoder, hidden, channels, core, layers, .. } = constants.network;
+        let rows = |inputs: usize| (0..inputs).collect::<Vec<_>>();
+        let features = constants.network.feature_columns();
+        let encoder_layers = [
+            matrix(one("encoder.0", encoder), rows(PARTICLE_FEATURES), features),
+            matrix(one("encoder.1", channels[0]), rows(encoder), four(encoder)),
+        ];
+        let widths = constants.field_widths();
+        let grid = description.grid.iter().flat_map(layout::grid_layers).zip(NODE_LAYERS);
+        let grid = grid
+            .map(|((name, inputs, outputs, sharing), (stencil, from, _))| {
+                let places = match stencil {
+                    Stencil::Neighbours => 9,
+                    Stencil::FromChildren => 4,
+                    Stencil::ToChildren { .. } => 1,
+                };
+                let group = inputs / places;
+                let row = |input: usize| input / group * widths[from] + input % group;
+                let part = Part {
+                    names: layout::names(name),
+                    gates: sharing,
+                    outputs: outputs / sharing,
+                    shares_bias: sharing > 1,
+                };
+                matrix(vec![part], (0..inputs).map(row).collect(), places * widths[from])
+            })
+            .collect();
+        // The gathered numbers begin behind the padded features.
+        let gathered = (0..channels[0]).map(|channel| features + channel);
+        let inputs = (0..PARTICLE_FEATURES).chain(gathered).collect();
+        let context = matrix(one("context", hidden), inputs, constants.network.context_rows());
+        let units = constants.network.hidden_columns();
+        let core_layers = (0..layers)
+            .map(|layer| {
+                let parts = layout::core_parts(core).iter();
+                let parts: Vec<_> = parts
+                    .map(|&(name, gates)| {
+                        part(layout::core_names(core, layer, name), gates, hidden)
+                    })
+                    .collect();
+                match (core, parts.as_slice()) {
+                    (Core::Gru | Core::Lstm, [input, recurrent]) => {
+                        let mut one = |part: &Part| matrix(vec![part.clone()], rows(hidden), units);
+                        (one(input), Some(one(recurrent)))
+                    }
+                    _ => (matrix(parts, rows(hidden), units), None),
+                }
+            })
+            .collect();
+        let mixer = matrix(one("mixer", hidden), rows(hidden), units);
+        let decoder = matrix(one("decoder", 2 * AXES), rows(hidden), units);
+        let packing = builder.finish();
+        Self { encoder: encoder_layers, grid, context, core: core_layers, mixer, decoder, packing }
+    }
+
+    /// `struct Turn` of the kernels for every matrix: first number, rows without the bias, columns, places around a node.
+    pub(super) fn turns(&self) -> Vec<[i32; 4]> {
+        let turn = |matrix: &Matrix| {
+            let grid = self.grid.iter().position(|one| one == matrix);
+            let around = grid.is_some_and(|layer| NODE_LAYERS[layer].0 == Stencil::Neighbours);
+            let places = if around { 9 } else { 1 };
+            [matrix.first, matrix.bias, matrix.columns, places].map(|number| number as i32)
+        };
+        self.packing.matrices().iter().map(turn).collect()
+    }
+}
+
+/// Shared memory that a block can have on all GPUs from compute capability 8.0 on (bytes).
+pub(super) const MOST_SHARED: usize = SHARED[1];
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use eddy_inference::checkpoint::{Architecture, Sizes, initial_weights, layout::linear_layers};
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn packed_weights_are_unpacked_as_they_were(
+            core in prop::sample::select(Core::ALL.to_vec()),
+            layers in 1..4usize,
+            encoder in 1..20usize,
+            hidden in 1..20usize,
+            channels in [1..10usize, 1..10usize, 1..10usize],
+        ) {
+            let sizes = Sizes { encoder, hidden, layers, particles: None };
+            let mut description = Description::untrained(Architecture::Particle, core, sizes);
+            description.grid.as_mut().unwrap().channels = channels;
+            let constants = TrainingConstants::of(&description).unwrap();
+            let Layout { packing, .. } = Layout::new(&description, &constants);
+            let weights = initial_weights(&description, 7);
+            let packed = packing.pack(&weights);
+            prop_assert_eq!(packing.unpack(&packed), weights.clone());
+            let ordered = packing.unpack_ordered(&packed);
+            prop_assert_eq!(packing.pack_ordered(ordered.iter().map(Vec::as_slice)), packed);
+            for (layer, pair) in linear_layers(&description).iter().zip(ordered.chunks(2)) {
+                let (weight, bias) = (&weights[&layer.weight].values, &weights[&layer.bias].values);
+                prop_assert_eq!(&pair[1], bias);
+                let transposed: Vec<f32> = (0..layer.input)
+                    .flat_map(|i| (0..layer.output).map(move |o| weight[o * layer.input + i]))
+                    .collect();
+                prop_assert_eq!(&pair[0], &transposed, "matrices are [in, out]");
+            }
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Trajectories of any numbers of particles, with the rest shapes of their solids, in the memory of a device.
+
+use eddy_inference::kernels::rest_shape::{Link, RestShape};
+
+use crate::{
+    device::{Buffer, Device},
+    error::Result,
+    training::Window,
+};
+
+/// Bytes of a body, and of `struct Link` of the kernels.
+const BODY: usize = 16;
+const LINK: usize = 16;
+/// Links of a particle at most.
+const MOST_LINKS: usize = 12;
+
+/// Trajectories that a device reads.
+pub struct Store {
+    pub(super) bodies: Buffer,
+    /// Particles of each stream.
+    pub(super) counts: Buffer,
+    /// `[streams, most]`.
+    pub(super) material: Buffer,
+    /// Where no particle of any stream has a rest shape, there are no links.
+    pub(super) links: Option<Links>,
+    /// First body of each stream, and the end of the last one.
+    first: Vec<u64>,
+    particles: Vec<usize>,
+    most: usize,
+}
+
+/// Links of all streams, each as it is and mirrored.
+pub(super) struct Links {
+    /// First of each particle, `[2 streams, most + 1]`, and the links.
+    pub(super) own: [Buffer; 2],
+    /// The same of the links to a particle, which name the ones that they are from.
+    pub(super) incoming: [Buffer; 2],
+}
+
+impl Store {
+    /// Particles of the largest stream.
+    pub(super) fn most(&self) -> usize {
+        self.most
+    }
+
+    /// Whether a window of so many frames lies within its stream.
+    pub(super) fn contains(&self, window: &Window, frames: usize) -> bool {
+        let end = self.first.get(window.stream + 1);
+        end.is_some_and(|&end| {
+            let bodies = ((window.start + frames) * self.particles[window.stream]) as u64;
+            self.first[window.stream] + bodies <= end
+        })
+    }
+
+    /// The first body of a window.
+    pub(super) fn first(&self, window: &Window) -> u64 {
+        self.first[window.stream] + (window.start * self.particles[window.stream]) as u64
+    }
+
+    /// Memory that streams of these numbers of particles and frames take at most (bytes).
+    pub fn bytes(streams: impl IntoIterator<Item = (usize, usize)>) -> u64 {
+        let bytes = |(particles, frames): (usize, usize)| {
+            // Links there and back, as they are and mirrored, and where they begin.
+            particles * (frames * BODY + 4 * (MOST_LINKS * LINK + 4) + 1)
+        };
+        streams.into_iter().map(|stream| bytes(stream) as u64).sum()
+    }
+}
+
+/// Copies streams to a device, frame by frame.
+pub struct StoreWriter<'a> {
+    device: &'a dyn Device,
+    bodies: Buffer,
+    most: usize,
+    particles: Vec<usize>,
+    materials: Vec<u8>,
+    own: Lists,
+    incoming: Lists,
+    first: Vec<u64>,
+    /// Bodies written so far.
+    written: u64,
+}
+
+/// Links one behind the other, and where those of each particle begin.
+#[derive(Default)]
+struct Lists {
+    first: Vec<u32>,
+    links: Vec<[u32; 4]>,
+}
+
+impl Lists {
+    /// Adds the links of each particle of a stream; further particles, up to `most`, have none.
+    fn add<'l>(&mut self, links: impl Iterator<Item = &'l [Link]>, most: usize) {
+        let end = self.first.len() + most + 1;
+        for own in links {
+            self.first.push(self.links.len() as u32);
+            self.links.extend(own.iter().map(|Link { particle, coefficient: [x, y], share }| {
+                [*particle, x.to_bits(), y.to_bits(), share.to_bits()]
+            }));
+        }
+        self.first.resize(end, self.links.len() as u32);
+    }
+}
+
+impl<'a> StoreWriter<'a> {
+    /// Memory for so many bodies in all frames of all streams, of `most` particles at most.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
+    pub fn new(device: &'a dyn Device, most: usize, bodies: usize) -> Result<Self> {
+        Ok(Self {
+            device,
+            bodies: device.allocate(BODY * bodies)?,
+            most,
+            particles: Vec::new(),
+            materials: Vec::new(),
+            own: Lists::default(),
+            incoming: Lists::default(),
+            first: Vec::new(),
+            written: 0,
+        })
+    }
+
+    /// Begins a stream of particles of these materials (by number), with their rest shapes as they are and mirrored.
+    ///
+    /// # Panics
+    /// With too many particles, or rest shapes of others.
+    pub fn stream(&mut self, material: &[u8], rest: [&RestShape; 2]) {
+        assert!(material.len() <= self.most, "{} particles, at most {}", material.len(), self.most);
+        self.first.push(self.written);
+        self.particles.push(material.len());
+        self.materials.extend_from_slice(material);
+        self.materials.resize(self.particles.len() * self.most, 0);
+        for rest in rest {
+            assert_eq!(rest.len(), material.len(), "particles of a rest shape");
+            let mut back = vec![Vec::new(); rest.len()];
+            for particle in 0..rest.len() {
+                for link in rest.links(particle) {
+                    back[link.particle as usize].push(Link { particle: particle as u32, ..*link });
+                }
+            }
+            self.own.add((0..rest.len()).map(|particle| rest.links(particle)), self.most);
+            self.incoming.add(back.iter().map(Vec::as_slice), self.most);
+        }
+    }
+
+    /// Adds a frame of x, y, vx, vy to the last stream.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    ///
+    /// # Panics
+    /// With another number of bodies, or more than there is memory for.
+    pub fn frame(&mut self, bodies: &[[f32; 4]]) -> Result<()> {
+        assert_eq!(Some(&bodies.len()), self.particles.last(), "bodies of a frame");
+        let first = self.written as usize;
+        self.written += bodies.len() as u64;
+        self.device.write(&self.bodies, BODY * first, bytemuck::cast_slice(bodies))
+    }
+
+    /// The store.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn finish(mut self) -> Result<Store> {
+        self.first.push(self.written);
+        let keep = |bytes: &[u8]| -> Result<Buffer> {
+            let buffer = self.device.allocate(bytes.len())?;
+            self.device.write(&buffer, 0, bytes)?;
+            Ok(buffer)
+        };
+        let counts: Vec<u32> = self.particles.iter().map(|&count| count as u32).collect();
+        let lists = |lists: &Lists| -> Result<[Buffer; 2]> {
+            let Lists { first, links } = lists;
+            Ok([keep(bytemuck::cast_slice(first))?, keep(bytemuck::cast_slice(links))?])
+        };
+        let links = match self.own.links.is_empty() {
+            true => None,
+            false => Some(Links { own: lists(&self.own)?, incoming: lists(&self.incoming)? }),
+        };
+        Ok(Store {
+            counts: keep(bytemuck::cast_slice(&counts))?,
+            material: keep(&self.materials)?,
+            links,
+            bodies: self.bodies,
+            first: self.first,
+            particles: self.particles,
+            most: self.most,
+        })
+    }
+}

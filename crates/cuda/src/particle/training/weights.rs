@@ -1,0 +1,223 @@
+//! The gradients by the weights, once those by all sums are there, and Adam.
+
+use super::{
+    Training,
+    forward::{PLACES, TARGETS},
+    layout::{FIELD_LEVELS, Layout, MOST_SHARED, NODE_LAYERS, Stencil, TrainingConstants},
+    plan::Plan,
+};
+use crate::{
+    device::{Argument, Buffer, Device, Queue, Shape},
+    error::{CudaError, Result},
+    kernels::Kernel,
+    particle::layout::odd,
+    training::{Matrix, Settings},
+};
+
+/// Blocks of a matrix, at least about so many where there are frames enough.
+const BLOCKS: usize = 128;
+/// Threads of a block, `OUTER_THREADS` of the kernels.
+const THREADS: usize = 256;
+/// Numbers of a thread.
+const SQUARE: usize = 16;
+
+/// Where the rows are that a matrix is multiplied by, and the gradients by its products.
+#[derive(Clone, Copy)]
+struct Rows {
+    at: [u64; 2],
+    /// Numbers of a row that take part.
+    widths: [usize; 2],
+    /// Numbers from a row to the next one.
+    strides: [usize; 2],
+    /// The stencil's number and the level, of rows of nodes.
+    nodes: Option<(usize, usize)>,
+    /// Numbers left out before the last third of the gradients.
+    gap: usize,
+}
+
+impl Rows {
+    /// Rows of particles.
+    fn of_particles(x: (u64, usize), by: (u64, usize)) -> Self {
+        let widths = [x.1, by.1];
+        Self { at: [x.0, by.0], widths, strides: widths, nodes: None, gap: 0 }
+    }
+}
+
+/// A launch for a matrix.
+struct Outer {
+    shape: Shape,
+    argument: Argument,
+}
+
+/// The launches for all matrices, and their memory.
+pub(super) struct Outers {
+    /// Shares of a window's frames that are summed up on their own.
+    splits: usize,
+    all: Vec<Outer>,
+    /// `[B, splits, weights]`.
+    parts: Buffer,
+    /// Whether a window's gradient is not finite, `[B]`.
+    broken: Buffer,
+}
+
+impl Outers {
+    pub(super) fn new(
+        device: &dyn Device,
+        layout: &Layout,
+        constants: &TrainingConstants,
+        plan: &Plan,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let Settings { batch, warm_up, unroll, .. } = *settings;
+        let splits = BLOCKS.div_ceil(batch).min(warm_up + unroll - 1);
+        let pairs = rows(layout, constants, plan, batch * (warm_up + unroll - 1));
+        let all = pairs.into_iter().map(|(matrix, rows)| {
+            let (stencil, level) = rows.nodes.map_or((0, -1), |(stencil, level)| {
+                (stencil, i32::try_from(level).unwrap_or_default())
+            });
+            let (places, targets) = match rows.nodes {
+                Some((stencil, _)) => (PLACES[stencil], TARGETS[stencil]),
+                None => (1, 1),
+            };
+            let [inner, columns] = [places * rows.widths[0], targets * rows.widths[1]];
+            let squares = (inner / 4 + 1) * (columns / 4);
+            let parts = (THREADS / squares).max(1);
+            let tile = constants.nodes * (odd(inner) + odd(columns));
+            let shared = 4 * tile.max((parts - 1) * squares * SQUARE);
+            if shared > MOST_SHARED {
+                let setting = format!("a layer of {inner} inputs and {columns} outputs");
+                let expected = "about 2000 inputs at most to train the particle model on a GPU";
+                return Err(CudaError::Unsupported { setting, expected });
+            }
+            let [width, outputs] = rows.widths;
+            let [x_stride, stride] = rows.strides;
+            let count = |number: usize| number as i32;
+            let numbers = [
+                count(matrix.first),
+                count(stencil),
+                level,
+                count(width),
+                count(x_stride),
+                count(outputs),
+                count(stride),
+                count(rows.gap),
+                count(parts),
+            ];
+            let mut bytes = bytemuck::cast_slice(&rows.at).to_vec();
+            bytes.extend_from_slice(bytemuck::cast_slice(&numbers));
+            let shape =
+                Shape { shared, ..Shape::new(batch * splits, squares.div_ceil(THREADS), THREADS) };
+            Ok(Outer { shape, argument: Argument::from_bytes(&bytes) })
+        });
+        Ok(Self {
+            splits,
+            all: all.collect::<Result<_>>()?,
+            parts: device.allocate(4 * batch * splits * layout.packing.size)?,
+            broken: device.allocate(4 * batch)?,
+        })
+    }
+}
+
+/// Every matrix with its rows; a step has so many sheets.
+fn rows<'a>(
+    layout: &'a Layout,
+    constants: &TrainingConstants,
+    plan: &Plan,
+    sheets: usize,
+) -> Vec<(&'a Matrix, Rows)> {
+    let network = &constants.network;
+    let (units, inputs) = (network.hidden_columns(), network.context_rows());
+    let encoder_units = constants.encoder_columns();
+    let [encoder, second] = &layout.encoder;
+    let features = Rows {
+        strides: [inputs, encoder_units],
+        ..Rows::of_particles(
+            (plan.inputs, network.feature_columns()),
+            (plan.by_hidden, encoder_units),
+        )
+    };
+    let hidden = (plan.hidden, encoder_units);
+    let mut all = vec![
+        (encoder, features),
+        (second, Rows::of_particles(hidden, (plan.by_encoded, network.encoded_columns()))),
+    ];
+    let widths = constants.field_widths();
+    for (matrix, (stencil, from, to)) in layout.grid.iter().zip(NODE_LAYERS) {
+        let level = match stencil {
+            Stencil::ToChildren { .. } => FIELD_LEVELS[from],
+            _ => FIELD_LEVELS[to],
+        };
+        let lists =
+            Rows::of_particles((plan.fields[from], widths[from]), (plan.slopes[to], widths[to]));
+        all.push((matrix, Rows { nodes: Some((stencil.number(), level)), ..lists }));
+    }
+    let by_context = (plan.by_context, units);
+    all.push((&layout.context, Rows::of_particles((plan.inputs, inputs), by_context)));
+    let rows = sheets * plan.most();
+    // The outputs of a layer of the core, from those before the first frame on, or from those of the first frame on.
+    let frame = rows / plan.frames();
+    let outputs = |layer: usize, after: usize| {
+        let first = layer * (rows + frame) + after * frame;
+        (plan.outputs + 4 * (first * units) as u64, units)
+    };
+    for (layer, (matrix, recurrent)) in layout.core.iter().enumerate() {
+        let slots = constants.slots();
+        let gates = (plan.gates + 4 * (layer * rows * slots) as u64, matrix.columns);
+        let input = match layer {
+            0 => (plan.context, units),
+            _ => outputs(layer - 1, 1),
+        };
+        let by_sums = Rows { strides: [units, slots], ..Rows::of_particles(input, gates) };
+        all.push((matrix, by_sums));
+        if let Some(recurrent) = recurrent {
+            // Of GRU, the last gate's part through the state is the slot behind the gates.
+            let gap = slots - recurrent.columns;
+            let last = outputs(layer, 0);
+            let rows = Rows { gap, ..Rows::of_particles(last, gates) };
+            all.push((recurrent, Rows { strides: [units, slots], ..rows }));
+        }
+    }
+    let last = outputs(layout.core.len() - 1, 1);
+    all.push((&layout.mixer, Rows::of_particles(last, (plan.by_mixed, units))));
+    let output = (plan.output, constants.output_columns());
+    all.push((&layout.decoder, Rows::of_particles((plan.mixed, units), output)));
+    all
+}
+
+impl Training {
+    /// The gradients by the weights, and their change.
+    pub(super) fn learn(&self) -> Result<()> {
+        let (batch, size) = (self.settings.batch, self.layout.packing.size);
+        let Outers { splits, all, parts, broken } = &self.outers;
+        let (parts, ends) = (parts.address(), [(*splits).into(), size.into()]);
+        for Outer { shape, argument } in all {
+            let [splits, size] = ends;
+            let arguments = [self.plan(), *argument, parts.into(), splits, size];
+            self.launch(Kernel::TrainOuter, *shape, &arguments)?;
+        }
+        self.device.clear(Queue::Main, broken)?;
+        let [splits_argument, size_argument] = ends;
+        self.launch(
+            Kernel::TrainFinite,
+            Shape::new(size.div_ceil(16 * THREADS), batch * splits, THREADS),
+            &[parts.into(), broken.address().into(), splits_argument, size_argument],
+        )?;
+        self.launch(
+            Kernel::TrainSum,
+            Shape::new(size.div_ceil(THREADS), 1, THREADS),
+            &[
+                parts.into(),
+                broken.address().into(),
+                self.optimizer.gradients.address().into(),
+                batch.into(),
+                splits_argument,
+                size_argument,
+            ],
+        )?;
+        for matrix in self.layout.packing.matrices() {
+            self.optimizer.measure(Queue::Main, matrix)?;
+            self.optimizer.change(Queue::Main, matrix, &self.tables)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,226 @@
+//! Weights, their gradients, and Adam, which changes them matrix by matrix.
+
+#![expect(unsafe_code, reason = "launches on memory of the device")]
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use eddy_inference::checkpoint::Weights;
+
+use super::{CHUNKS, Matrix, Packing, Settings, Tables};
+use crate::{
+    device::{Address, Argument, Buffer, Device, Queue, Shape},
+    error::Result,
+    kernels::Kernel,
+};
+
+/// Weights on a device, with what their training needs.
+pub struct Optimizer {
+    device: Arc<dyn Device>,
+    packing: Packing,
+    clip: f32,
+    epsilon: f32,
+    pub(crate) weights: Buffer,
+    pub(crate) gradients: Buffer,
+    first: Buffer,
+    second: Buffer,
+    average: Option<Buffer>,
+    /// Parts of the squares of each tensor's gradient.
+    squares: Buffer,
+    /// What each is multiplied by.
+    scales: Buffer,
+    /// Squares of their norms.
+    totals: Buffer,
+}
+
+impl Optimizer {
+    /// Memory for these matrices, weights all zero.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
+    pub(crate) fn new(
+        device: &Arc<dyn Device>,
+        packing: &Packing,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let numbers = |count: usize| device.allocate(4 * count);
+        Ok(Self {
+            clip: settings.clip,
+            epsilon: settings.epsilon,
+            weights: numbers(packing.size)?,
+            gradients: numbers(packing.size)?,
+            first: numbers(packing.size)?,
+            second: numbers(packing.size)?,
+            average: settings.average.then(|| numbers(packing.size)).transpose()?,
+            squares: numbers(packing.tensors * CHUNKS)?,
+            scales: numbers(packing.tensors)?,
+            totals: numbers(packing.tensors)?,
+            packing: packing.clone(),
+            device: Arc::clone(device),
+        })
+    }
+
+    /// Puts packed weights onto the device.
+    pub(crate) fn write_weights(&self, all: &[f32]) -> Result<()> {
+        self.device.write(&self.weights, 0, bytemuck::cast_slice(all))
+    }
+
+    /// Puts what Adam remembers of each tensor onto the device: first and second moments and the weights' running
+    /// average, in the order of checkpoints' layers, matrices as `[in, out]`; empty before a tensor's first step.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn set_moments<'a>(&self, moments: impl IntoIterator<Item = [&'a [f32]; 3]>) -> Result<()> {
+        let moments: Vec<_> = moments.into_iter().collect();
+        let buffers = [Some(&self.first), Some(&self.second), self.average.as_ref()];
+        for (number, buffer) in buffers.into_iter().enumerate() {
+            if let Some(buffer) = buffer {
+                let all = self.packing.pack_ordered(moments.iter().map(|tensor| tensor[number]));
+                self.device.write(buffer, 0, bytemuck::cast_slice(&all))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The weights in the order of checkpoints' layers, matrices as `[in, out]`, and the same of the first and second
+    /// moments and the running average; that is empty where none is kept.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn state(&self) -> Result<[Vec<Vec<f32>>; 4]> {
+        let ordered = |buffer: Option<&Buffer>| match buffer {
+            Some(buffer) => Ok(self.packing.unpack_ordered(&self.numbers(buffer)?)),
+            None => Ok(vec![Vec::new(); self.packing.tensors]),
+        };
+        let [weights, first, second] = [&self.weights, &self.first, &self.second];
+        Ok([
+            ordered(Some(weights))?,
+            ordered(Some(first))?,
+            ordered(Some(second))?,
+            ordered(self.average.as_ref())?,
+        ])
+    }
+
+    pub(super) fn weights(&self) -> Result<BTreeMap<String, Weights>> {
+        self.read(&self.weights)
+    }
+
+    pub(super) fn average(&self) -> Result<BTreeMap<String, Weights>> {
+        self.read(self.averaged_weights())
+    }
+
+    pub(super) fn gradients(&self) -> Result<BTreeMap<String, Weights>> {
+        self.read(&self.gradients)
+    }
+
+    /// The running average where it lies on the device; the weights themselves where none is kept.
+    pub(crate) fn averaged_weights(&self) -> &Buffer {
+        self.average.as_ref().unwrap_or(&self.weights)
+    }
+
+    fn read(&self, buffer: &Buffer) -> Result<BTreeMap<String, Weights>> {
+        Ok(self.packing.unpack(&self.numbers(buffer)?))
+    }
+
+    fn numbers(&self, buffer: &Buffer) -> Result<Vec<f32>> {
+        let mut all = vec![0f32; self.packing.size];
+        self.device.read(buffer, 0, bytemuck::cast_slice_mut(&mut all))?;
+        Ok(all)
+    }
+
+    /// Where a matrix of the weights is.
+    pub(crate) fn weight(&self, matrix: &Matrix) -> Address {
+        self.weights.address().plus(matrix.first)
+    }
+
+    /// Where its gradient is.
+    pub(crate) fn gradient(&self, matrix: &Matrix) -> Address {
+        self.gradients.address().plus(matrix.first)
+    }
+
+    /// The gradient by a matrix averaged over the devices, its norms, and what shortens it.
+    pub(crate) fn measure(&self, queue: Queue, matrix: &Matrix) -> Result<()> {
+        let gradient = self.gradient(matrix);
+        // SAFETY: the matrix lies within the gradients.
+        unsafe { self.device.average(queue, gradient, matrix.size()) }?;
+        let tensors = matrix.tensors();
+        let squares = self.squares.address().plus(matrix.tensor * CHUNKS);
+        self.launch(
+            queue,
+            Kernel::SquaresOfGradient,
+            // A block has 256 times 4 numbers or more.
+            Shape::new(matrix.size().div_ceil(1024).min(CHUNKS), tensors, 256),
+            &[
+                gradient.into(),
+                squares.into(),
+                matrix.columns.into(),
+                matrix.bias.into(),
+                matrix.width.into(),
+            ],
+        )?;
+        self.launch(
+            queue,
+            Kernel::Clip,
+            Shape::new(tensors, 1, 256),
+            &[
+                squares.into(),
+                self.scales.address().plus(matrix.tensor).into(),
+                self.totals.address().plus(matrix.tensor).into(),
+                self.clip.into(),
+            ],
+        )
+    }
+
+    /// Adam for a matrix, once nothing needs the old weights any more.
+    pub(crate) fn change(&self, queue: Queue, matrix: &Matrix, tables: &Tables) -> Result<()> {
+        let at = |buffer: &Buffer| buffer.address().plus(matrix.first);
+        let average = self.average.as_ref().map_or(Address::NULL, at);
+        let quads = matrix.size() / 4;
+        self.launch(
+            queue,
+            Kernel::Adam,
+            Shape::new(quads.div_ceil(256), 1, 256),
+            &[
+                at(&self.weights).into(),
+                at(&self.gradients).into(),
+                at(&self.first).into(),
+                at(&self.second).into(),
+                average.into(),
+                self.scales.address().plus(matrix.tensor).into(),
+                tables.schedule.address().into(),
+                tables.progress.address().into(),
+                quads.into(),
+                matrix.columns.into(),
+                matrix.bias.into(),
+                matrix.width.into(),
+                self.epsilon.into(),
+            ],
+        )
+    }
+
+    /// Ends a step.
+    pub(crate) fn finish(&self, tables: &Tables) -> Result<()> {
+        self.launch(
+            Queue::Main,
+            Kernel::Finish,
+            Shape::new(1, 1, 256),
+            &[
+                self.totals.address().into(),
+                self.packing.tensors.into(),
+                tables.progress.address().into(),
+                tables.outcomes.address().into(),
+            ],
+        )
+    }
+
+    fn launch(
+        &self,
+        queue: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> Result<()> {
+        // SAFETY: every call of this file passes the kernel's parameters in type and order, and places within buffers that
+        // `new` has made for the matrices.
+        unsafe { self.device.launch(queue, kernel, shape, arguments) }
+    }
+}

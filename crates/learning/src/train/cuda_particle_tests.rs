@@ -1,0 +1,341 @@
+//! Training of the particle model on a GPU beside training on the CPU: the kernels run in the emulator.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    LossKind, NoiseConfig, TrainConfig, UnrollStage,
+    adam::Correction,
+    cuda,
+    cuda_tests::{named, relative_error},
+    gradients::GradientTask,
+    loss_weights::{LossScale, TrivialSums},
+    state::RunState,
+    steps::Learner,
+    window::{Sampler, Window},
+};
+use crate::model::{DeviceKind, network::Network};
+use eddy_cuda::{
+    device::Device,
+    frame::Place,
+    particle::{self, Training, TrainingConstants},
+    training::InTraining as _,
+};
+use eddy_cuda_emulator::Emulator;
+use eddy_evaluation::dataset::{State, Stream, Trajectory};
+use eddy_frames::{Domain, Material, Stamp};
+use eddy_inference::{
+    checkpoint::{Architecture, Checkpoint, Core, Description, Form, Weights, initial_weights},
+    engine::{Ballistic, Surrogate},
+};
+
+/// Distance between particles at rest (domain lengths).
+const SPACING: f32 = 0.03;
+/// Of the weights at first. With this seed a unit of minGRU's encoder is at the bend of its ReLU in the third step.
+const SEED: u64 = 11;
+
+/// Streams of two blocks, a few particles each, of different materials and numbers: they fall, turn and spread a little, some
+/// into a wall.
+pub(super) fn streams() -> Vec<Trajectory> {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let kinds = [[Material::Jelly, Material::Liquid], [Material::Snow, Material::Rope]];
+    let sizes = [[4usize, 3], [3, 4]];
+    let stream = |id: usize| {
+        let mut places = Vec::new();
+        let mut material = Vec::new();
+        for block in 0..2 {
+            let corner = [0.1 + 0.5 * block as f32, 0.06 + 0.3 * id as f32];
+            let side = sizes[id][block];
+            for number in 0..side * side {
+                let along = [number % side, number / side].map(|step| step as f32 * SPACING);
+                places.push([corner[0] + along[0], corner[1] + along[1]]);
+                material.push(kinds[id][block]);
+            }
+        }
+        let mut jitter = |size: f32| [(); 2].map(|()| size * random.random_range(-1.0f32..1.0));
+        let states = (0..9)
+            .map(|t| {
+                let moved = |[x, y]: [f32; 2], [dx, dy]: [f32; 2]| {
+                    let time = t as f32;
+                    [x + 0.004 * time + dx, (y - 0.003 * time + 0.1 * time * dx + dy).max(0.01)]
+                };
+                let position = places.iter().map(|&place| moved(place, jitter(0.002))).collect();
+                let velocity = places.iter().map(|_| jitter(0.5)).collect();
+                State { position, velocity }
+            })
+            .collect();
+        Trajectory::from(Stream {
+            id: id as u64,
+            source: "memory".into(),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            material,
+            first_sequence: 0,
+            first_stamp: Stamp::default(),
+            states,
+        })
+    };
+    [0, 1].map(stream).to_vec()
+}
+
+/// A small network, with everything that a training may ask for switched on.
+pub(super) fn config(core: Core) -> TrainConfig {
+    let mut config = TrainConfig::defaults(Architecture::Particle);
+    config.core = core;
+    config.network.encoder = 10;
+    config.network.hidden = 9;
+    config.network.layers = 2;
+    config.network.cell_width = 0.1;
+    config.network.channels = [6, 7, 5];
+    config.windows.batch = 3;
+    config.windows.warm_up = 3;
+    config.windows.noise = NoiseConfig { position: 0.002, velocity: 0.1, share: 0.5 };
+    config.unroll = vec![UnrollStage { share: 1.0, frames: 3 }];
+    config.optimizer.clip = 0.05;
+    config.optimizer.epsilon = 1e-4;
+    config.optimizer.average = 0.9;
+    config
+}
+
+pub(super) fn description(config: &TrainConfig) -> Description {
+    let mut description =
+        Description::untrained(Architecture::Particle, config.core, config.sizes(0));
+    description.grid = config.grid(SPACING);
+    description.frame = config.network.frame;
+    description.form = config.network.form;
+    description.normalize_gates = config.network.normalize_gates;
+    description.gravity = config.gravity;
+    description.warm_up = config.windows.warm_up as u32;
+    description
+}
+
+/// Initial weights, all moved a little: a decoder of zeros would leave the other layers without gradients.
+fn weights(description: &Description, seed: u64) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = initial_weights(description, 5);
+    for values in tensors.values_mut().map(|weights| &mut weights.values) {
+        values.iter_mut().for_each(|value| *value += random.random_range(-0.1..0.1));
+    }
+    tensors
+}
+
+/// The same weights but for their last bits.
+fn nearly(weights: &BTreeMap<String, Weights>, seed: u64) -> BTreeMap<String, Weights> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tensors = weights.clone();
+    for values in tensors.values_mut().map(|weights| &mut weights.values) {
+        values.iter_mut().for_each(|value| *value *= 1.0 + random.random_range(-2e-7f32..2e-7));
+    }
+    tensors
+}
+
+/// A training in the emulator.
+fn training(config: &TrainConfig, description: &Description, streams: &[Trajectory]) -> Training {
+    let device: Arc<dyn Device> =
+        Arc::new(Emulator::new(&TrainingConstants::of(description).unwrap()).unwrap());
+    let store = cuda::particle_store(&*device, streams, SPACING).unwrap();
+    let settings = cuda::settings(config, config.unroll[0].frames, 1);
+    let training = Training::new(device, Arc::new(store), description, &settings).unwrap();
+    training.set_weights(&weights(description, SEED)).unwrap();
+    training
+}
+
+/// Trivial errors over some windows, where the loss needs them.
+fn scale<'a>(
+    config: &'a TrainConfig,
+    description: &'a Description,
+    sampler: &Sampler,
+    state: &mut RunState,
+) -> LossScale<'a> {
+    let mut scale = LossScale {
+        loss: &config.loss,
+        normalization: &description.normalization,
+        ballistic: Ballistic::new(description),
+        common: Vec::new(),
+    };
+    if config.loss.kind == LossKind::Relative {
+        let mut sums = TrivialSums::new(config.unroll[0].frames);
+        for window in sampler.draw(20, &mut state.order).unwrap() {
+            sums.add(&window, &scale.ballistic);
+        }
+        scale.common = sums.best();
+    }
+    scale
+}
+
+/// Steps on the CPU and in the emulator, each from the same weights on the same windows. Where a unit is so close to the bend of
+/// its ReLU that the last bits of the weights decide on its gradient, the gradients may differ by what these bits change.
+fn compare(config: &TrainConfig) {
+    let streams = streams();
+    let description = description(config);
+    let unroll = config.unroll[0].frames;
+    let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+    let mut state = RunState::new(config, &description, DeviceKind::Flex);
+    let device = DeviceKind::Flex.device().autodiff();
+    state.unroll = unroll;
+    let scale = scale(config, &description, &sampler, &mut state);
+    let task =
+        GradientTask { config, description: &description, scale: &scale, device: DeviceKind::Flex };
+    let mut training = training(config, &description, &streams);
+
+    for step in 0..3 {
+        let draws = sampler.choose_many(config.windows.batch, &mut state.order);
+        let windows: Vec<Window> = draws.iter().map(|&draw| sampler.cut(draw).unwrap()).collect();
+        let before = training.weights().unwrap();
+        let near = Network::new(&description, &nearly(&before, step), &device);
+        let near = task.compute(&near, &windows, &mut state.dropout).gradients;
+        state.network = Network::new(&description, &before, &device);
+        let slope = task.compute(&state.network, &windows, &mut state.dropout);
+
+        let correction = Correction::new(state.adam.steps + 1, 1e-2, &config.optimizer);
+        let own = cuda::weights(&scale, &sampler, &draws, unroll).unwrap();
+        let batch = cuda::batch(&draws, &correction, None, Some(own));
+        training.start(&[batch]).unwrap();
+        let outcome = training.outcomes(1).unwrap()[0];
+
+        let difference = f64::from(outcome.loss / slope.loss - 1.0).abs();
+        assert!(difference < 2e-5, "step {step}: loss {} on the CPU, {}", slope.loss, outcome.loss);
+        let gradients = training.gradients().unwrap();
+        let near = named(&description, near);
+        let mut allowed = BTreeMap::new();
+        for (name, expected) in named(&description, slope.gradients.clone()) {
+            let found = relative_error(&gradients[&name].values, &expected);
+            let most = 2e-5 + 2.0 * relative_error(&near[&name], &expected);
+            assert!(
+                found < most,
+                "step {step}: gradient by {name}: relative error {found:.1e}, at most {most:.1e}"
+            );
+            allowed.insert(name, most);
+        }
+
+        let mut adam = state.adam.step(1e-2, &config.optimizer).measured();
+        state.network.layers_mut().exchange(|tensor, values| {
+            adam.change(tensor, values, &slope.gradients[tensor]);
+        });
+        let norm = adam.gradient_norm();
+        let most = allowed.values().fold(0.0, |most, &own| f64::max(most, own));
+        assert!(
+            (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < most,
+            "norm of the gradient"
+        );
+        for (found, expected) in [
+            (training.weights().unwrap(), state.network.layers().tensors(&description)),
+            (training.average().unwrap(), state.tensors(&description)),
+        ] {
+            for (name, expected) in expected {
+                let found = relative_error(&found[&name].values, &expected.values);
+                assert!(
+                    found < allowed[&name],
+                    "step {step}: {name}: relative error {found:.1e}, at most {:.1e}",
+                    allowed[&name]
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn every_core_of_the_particle_model_takes_the_steps_of_the_cpu() {
+    for core in Core::ALL {
+        compare(&config(core));
+    }
+}
+
+#[test]
+fn other_forms_and_losses_of_the_particle_model_take_the_steps_of_the_cpu() {
+    for core in [Core::MinGru, Core::MinLstm] {
+        let mut config = config(core);
+        config.network.form = Form::Log;
+        config.network.normalize_gates = false;
+        config.loss.kind = LossKind::Mse;
+        config.loss.observed_weight = 0.0;
+        config.windows.warm_up = 1;
+        compare(&config);
+    }
+}
+
+/// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
+#[test]
+fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
+    let config = config(Core::MinGru);
+    let (streams, description) = (streams(), description(&config));
+    let unroll = config.unroll[0].frames;
+    let run = |open: &dyn Fn() -> Learner| {
+        let mut state = RunState::new(&config, &description, DeviceKind::Flex);
+        let device = DeviceKind::Flex.device().autodiff();
+        state.network = Network::new(&description, &weights(&description, 13), &device);
+        state.unroll = unroll;
+        let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+        let scale = scale(&config, &description, &sampler, &mut state);
+        let task = GradientTask {
+            config: &config,
+            description: &description,
+            scale: &scale,
+            device: DeviceKind::Flex,
+        };
+        let mut losses = Vec::new();
+        for rates in [&[1e-3, 2e-3][..], &[3e-3]] {
+            let mut learner = open();
+            learner.begin(&task, &state).unwrap();
+            let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
+            losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
+            learner.sync(&mut state).unwrap();
+            let tensors = state.tensors(&description);
+            let checkpoint = Checkpoint { description: description.clone(), tensors };
+            let found = learner.surrogate(&checkpoint).unwrap();
+            let expected = Surrogate::load(&checkpoint, None).unwrap();
+            let first = streams[0].cut(0..1).unwrap().frame(0);
+            let [found, expected] = [found, expected].map(|surrogate| {
+                let mut hidden = surrogate.start(&first).unwrap();
+                surrogate.stepper().step(&mut hidden, &first).velocity
+            });
+            for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                assert!((found - expected).abs() < 1e-4, "a model for validation");
+            }
+        }
+        (state, losses)
+    };
+    let on_gpu = || {
+        let program = cuda::program(&description).unwrap();
+        let device: Arc<dyn Device> = Arc::new(Emulator::new(&*program).unwrap());
+        let devices = [(device, Place::Device)];
+        let learner = cuda::Learner::on(devices, None, &description, &streams).unwrap();
+        Learner::Cuda(Box::new(learner))
+    };
+    let (expected, expected_losses) = run(&|| Learner::Burn);
+    let (found, found_losses) = run(&on_gpu);
+    let (again, again_losses) = run(&on_gpu);
+
+    assert_eq!(found_losses, again_losses, "the same bits each time");
+    let tensors = |state: &RunState| state.network.layers().tensors(&description);
+    assert_eq!(tensors(&found), tensors(&again), "the same bits each time");
+    for ((found, same), (expected, windows)) in found_losses.iter().zip(&expected_losses) {
+        assert_eq!(same, windows, "the same windows are drawn");
+        assert!((found / expected - 1.0).abs() < 2e-5, "loss {expected} on the CPU, {found}");
+    }
+    assert_eq!(found.adam.steps, expected.adam.steps);
+    for (found, expected) in found.adam.moments.iter().zip(&expected.adam.moments) {
+        assert!(relative_error(&found.first, &expected.first) < 1e-4, "first moments");
+        assert!(relative_error(&found.second, &expected.second) < 1e-4, "second moments");
+        assert!(relative_error(&found.average, &expected.average) < 1e-4, "averages");
+    }
+    let found = tensors(&found);
+    for (name, expected) in tensors(&expected) {
+        assert!(relative_error(&found[&name].values, &expected.values) < 5e-5, "{name}");
+    }
+}
+
+#[test]
+fn what_a_gpu_cannot_do_for_the_particle_model_is_refused() {
+    let mut config = config(Core::MinGru);
+    assert!(config.runs_on_gpus());
+    config.network.dropout = 0.2;
+    assert!(!config.runs_on_gpus());
+    let description = description(&config);
+    let settings = cuda::settings(&config, 2, 1);
+    let stages = [settings];
+    let refused = particle::footprint::bytes(&description, &stages, &[(100, 10)]).unwrap_err();
+    assert!(refused.to_string().contains("network.dropout = 0.2"), "{refused}");
+}
