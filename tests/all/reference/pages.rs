@@ -167,6 +167,7 @@ pub fn values(spec: &ParameterSpec) -> String {
             format!("{} or more {unit}", range.start())
         }
         Values::Integer { range, unit } => format!("{} to {} {unit}", range.start(), range.end()),
+        Values::Name => "name".to_owned(),
         Values::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", "),
     }
 }

@@ -215,8 +215,12 @@ fn a_flooding_stream_does_not_affect_the_others() {
         publisher(&output, ParticleFrame::TYPE),
         publisher(&status, PredictionStatus::TYPE),
     )];
-    let mut context =
-        NodeContext { name: "/node".into(), input: input.clone(), time: RosTime::system() };
+    let mut context = NodeContext {
+        name: "/node".into(),
+        input: input.clone(),
+        time: RosTime::system(),
+        group: None,
+    };
     let mut node = node(NodeSettings::default());
     let queue = FrameQueue::new(40, Reliability::Drop);
     let (stop, handle) = (AtomicBool::new(false), NodeHandle::default());
