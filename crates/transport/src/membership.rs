@@ -16,8 +16,8 @@ pub struct Lease {
 /// This process in a group. A process whose connection is closed, as by its death, leaves at once; one that is silent
 /// leaves after its [`Lease`].
 pub trait Membership: Send {
-    /// The id of this process, if it is announced or when it is announced next. No id is used again after
-    /// [`Membership::leave`].
+    /// The id of this process, if it is announced or when it is announced next; it ends with `-` and the process's label.
+    /// No id is used again after [`Membership::leave`].
     fn id(&self) -> &str;
 
     /// Announces this process to the group.

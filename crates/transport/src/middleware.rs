@@ -73,6 +73,7 @@ pub(crate) trait Middleware: Send + Sync {
         self: Arc<Self>,
         link: &Link,
         _group: &str,
+        _label: &str,
     ) -> Result<Box<dyn Membership>, TransportError> {
         Err(TransportError::NoGroups { link: link.clone() })
     }

@@ -343,7 +343,8 @@ impl Transports {
     }
 
     /// Watches the members of a group among the processes that read a topic; this process is not one of them before
-    /// [`Membership::join`]. Groups of different topics or domains are different groups. Only Zenoh has groups.
+    /// [`Membership::join`]. Groups of different topics or domains are different groups. Others see the `label` of this
+    /// process at the end of its id. Only Zenoh has groups.
     ///
     /// # Errors
     /// [`TransportError::NoGroups`]; as [`Transports::publisher`].
@@ -351,8 +352,9 @@ impl Transports {
         &self,
         link: &Link,
         group: &str,
+        label: &str,
     ) -> Result<Box<dyn Membership>, TransportError> {
-        self.middleware(link)?.membership(link, group)
+        self.middleware(link)?.membership(link, group, label)
     }
 
     /// The memory that the publishers of a topic of type `type_name` have made for it; `None` where nothing is

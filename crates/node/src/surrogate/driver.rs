@@ -533,12 +533,12 @@ impl Output<'_> {
     }
 
     fn publish(&mut self, prediction: &Prediction<'_>, arrived: Duration) {
+        let latency = self.clock.now() - arrived;
         // Immediately before: the program may have been paused at any moment since the frame was received.
-        if self.group.is_some_and(|group| !group.may_publish(prediction.frame.stream)) {
+        if self.group.is_some_and(|group| !group.may_publish(prediction.frame.stream, latency)) {
             self.withheld += 1;
             return;
         }
-        let latency = self.clock.now() - arrived;
         prediction.status(latency, &self.digest, &mut self.status);
         cdr::encode_into(&self.status, &mut self.bytes);
         for output in self.outputs.iter_mut() {

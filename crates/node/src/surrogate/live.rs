@@ -7,10 +7,11 @@ use std::{
 
 use eddy_messages::{Clock, Message, ParticleFrame, QosProfile, type_support};
 use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::{
-    DriveError, FrameQueue, GroupMember, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime,
-    SurrogateNode, drive, lifecycle_services, node_services, publishers::Publishers,
+    DriveError, FrameQueue, GroupMember, NodeContext, NodeHandle, NodeLinks, NodeSettings, Outputs,
+    RosTime, SurrogateNode, drive, lifecycle_services, node_services, publishers::Publishers,
 };
 use crate::{
     ros::{RosNode, TopicQos},
@@ -96,7 +97,7 @@ impl LiveNode {
         // After the outputs, so that a member can publish.
         let group = (!group.is_empty()).then(|| {
             transports
-                .membership(&input, &group)
+                .membership(&input, &group, &label(&node, &renamed))
                 .map(|membership| Arc::new(GroupMember::start(&group, membership)))
         });
         let group = group.transpose().map_err(OpenError::Group)?;
@@ -152,6 +153,16 @@ fn context(transports: &Transports, input: Link, ros: &RosNode) -> NodeContext {
     let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
     let open = move || transports.subscriber(&clock, Clock::TYPE);
     NodeContext { name: ros.full_name(), input, time: RosTime::new(Box::new(open)), group: None }
+}
+
+/// Differs between members of a group that start with different checkpoints, settings or outputs, so that the predictions
+/// of a stream change when it is handed over.
+fn label(node: &SurrogateNode, links: &NodeLinks) -> String {
+    let NodeSettings { horizon, publish, free_run, max_gap, .. } = node.settings();
+    let outputs: Vec<_> = links.outputs.iter().map(Link::to_string).collect();
+    let digest = node.surrogate().digest();
+    let all = format!("{digest} {horizon} {publish:?} {free_run:?} {max_gap} {outputs:?}");
+    format!("{:08x}", xxh3_64(all.as_bytes()) >> 32)
 }
 
 /// Offers services on every transport of the node's links that has services.

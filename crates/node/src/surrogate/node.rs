@@ -219,13 +219,11 @@ impl SurrogateNode {
         streams
     }
 
-    /// Forgets the streams that another member of the group owns. Returns how many there were.
-    pub fn hand_over(&mut self, is_kept: impl Fn(u64) -> bool) -> usize {
+    /// Forgets the streams that another member of the group owns.
+    pub(super) fn hand_over(&mut self, is_kept: impl Fn(u64) -> bool) {
         let before = self.streams.len();
         self.streams.retain(|&stream, _| is_kept(stream));
-        let handed_over = before - self.streams.len();
-        self.counters.handed_over += handed_over as u64;
-        handed_over
+        self.counters.handed_over += (before - self.streams.len()) as u64;
     }
 
     /// Maximum number of frames that [`SurrogateNode::on_frames`] steps in parallel.

@@ -18,9 +18,11 @@ pub(super) struct ZenohMembership {
     link: Link,
     /// Prefix of the tokens: `eddy/group/<domain>/<topic, / as %>/<group>`
     prefix: String,
-    /// Id of this process, and how often it has left.
+    /// Id of this process: `<session>-<left>-<label>`
     id: String,
+    /// How often it has left.
     left: u64,
+    label: String,
     members: Arc<Mutex<BTreeSet<String>>>,
     token: Option<LivelinessToken>,
     _watch: pubsub::Subscriber<()>,
@@ -28,11 +30,13 @@ pub(super) struct ZenohMembership {
 }
 
 impl ZenohMembership {
-    /// Watches the members of `group` among the processes that read the topic of `link`.
+    /// Watches the members of `group` among the processes that read the topic of `link`, which see `label` in the id of
+    /// this one.
     pub(super) fn open(
         node: &Arc<ZenohNode>,
         link: &Link,
         group: &str,
+        label: &str,
     ) -> Result<Self, TransportError> {
         let prefix =
             format!("eddy/group/{}/{}/{group}", node.node.domain_id, link.topic.replace('/', "%"));
@@ -55,8 +59,9 @@ impl ZenohMembership {
         Ok(Self {
             link: link.clone(),
             prefix,
-            id: id(node, 0),
+            id: id(node, 0, label),
             left: 0,
+            label: label.to_owned(),
             members,
             token: None,
             _watch: watch,
@@ -66,8 +71,8 @@ impl ZenohMembership {
 }
 
 /// Two nodes never have the same id, nor one node twice.
-fn id(node: &ZenohNode, left: u64) -> String {
-    format!("{}-{left}", node.node.zid)
+fn id(node: &ZenohNode, left: u64, label: &str) -> String {
+    format!("{}-{left}-{label}", node.node.zid)
 }
 
 impl Membership for ZenohMembership {
@@ -85,12 +90,12 @@ impl Membership for ZenohMembership {
     fn leave(&mut self) {
         self.token = None;
         self.left += 1;
-        self.id = id(&self.node, self.left);
+        self.id = id(&self.node, self.left, &self.label);
     }
 
     fn members(&self) -> BTreeSet<String> {
         // The tokens of this process that are still on their way do not count.
-        let own = self.node.node.zid.to_string();
+        let own = format!("{}-", self.node.node.zid);
         let is_known =
             |id: &&String| !id.starts_with(&own) || self.token.is_some() && **id == self.id;
         lock(&self.members).iter().filter(is_known).cloned().collect()

@@ -166,8 +166,9 @@ impl Middleware for ZenohNode {
         self: Arc<Self>,
         link: &Link,
         group: &str,
+        label: &str,
     ) -> Result<Box<dyn Membership>, TransportError> {
-        Ok(Box::new(ZenohMembership::open(&self, link, group)?))
+        Ok(Box::new(ZenohMembership::open(&self, link, group, label)?))
     }
 
     fn service(

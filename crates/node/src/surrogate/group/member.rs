@@ -1,7 +1,7 @@
 //! A thread that keeps a node in its group.
 
 use std::{
-    collections::HashSet,
+    collections::{BTreeSet, HashSet},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -37,7 +37,7 @@ struct Shared {
 }
 
 impl GroupMember {
-    /// Joins the group of this name once `membership` is connected.
+    /// Watches the group of this name, and joins it once the node is active and `membership` is connected.
     pub fn start(name: &str, membership: Box<dyn Membership>) -> Self {
         let clock = Clock::start();
         let standing = Standing::new(membership.id(), membership.lease(), clock.now());
@@ -47,7 +47,7 @@ impl GroupMember {
             standing: Mutex::new(standing),
             foreign: Mutex::default(),
             foreign_frames: AtomicU64::new(0),
-            is_active: AtomicBool::new(true),
+            is_active: AtomicBool::new(false),
             ended: AtomicBool::new(false),
         });
         let kept = Arc::clone(&shared);
@@ -55,7 +55,7 @@ impl GroupMember {
         Self { shared, thread: Some(thread) }
     }
 
-    /// A node that does not predict is no member.
+    /// A node that does not predict, or not yet, is no member.
     pub fn set_active(&self, is_active: bool) {
         self.shared.is_active.store(is_active, Ordering::Relaxed);
     }
@@ -79,10 +79,11 @@ impl GroupMember {
         lock(&self.shared.standing).observes(stream)
     }
 
-    /// Whether the node may publish a prediction of a stream now.
-    pub fn may_publish(&self, stream: u64) -> bool {
+    /// Whether the node may publish now what it predicts from a frame of a stream that arrived so long ago.
+    pub fn may_publish(&self, stream: u64, age: Duration) -> bool {
         let standing = lock(&self.shared.standing);
-        standing.may_publish(stream, self.shared.clock.now())
+        let now = self.shared.clock.now();
+        standing.may_publish(stream, now.saturating_sub(age), now)
     }
 
     pub(crate) fn epoch(&self) -> Epoch {
@@ -126,6 +127,7 @@ impl Drop for GroupMember {
 /// Looks at the group until the node ends.
 fn keep(shared: &Shared, mut membership: Box<dyn Membership>) {
     let Shared { name, clock, .. } = shared;
+    let mut differing = 0;
     while !shared.ended.load(Ordering::Relaxed) {
         let view = View {
             members: membership.members(),
@@ -138,17 +140,24 @@ fn keep(shared: &Shared, mut membership: Box<dyn Membership>) {
             membership.leave();
             standing.rename(membership.id());
         }
-        let members = standing.members();
         drop(standing);
         match change {
             None => {}
             Some(Change::Join) => {
-                if let Err(error) = membership.join() {
+                // Without the lock: frames arrive meanwhile.
+                let joined = membership.join();
+                let mut standing = lock(&shared.standing);
+                match joined {
+                    Ok(()) => {
+                        standing.joined(clock.now());
+                        let members = counted(standing.members() as u64, "member");
+                        tracing::info!("group {name}: joined, {members}");
+                    }
                     // The others do not see this node and predict its streams.
-                    tracing::error!("group {name}: {error}");
-                    lock(&shared.standing).leave(clock.now());
-                } else {
-                    tracing::info!("group {name}: joined, {}", counted(members as u64, "member"));
+                    Err(error) => {
+                        standing.leave(clock.now());
+                        tracing::error!("group {name}: {error}");
+                    }
                 }
             }
             Some(Change::Members(members)) => {
@@ -163,9 +172,25 @@ fn keep(shared: &Shared, mut membership: Box<dyn Membership>) {
             ),
             Some(Change::Leave(Reason::Inactive)) => tracing::info!("group {name}: left"),
         }
+        let before = std::mem::replace(&mut differing, differing_from(membership.id(), &view.members));
+        if differing > before {
+            tracing::warn!(
+                "group {name}: {} started with another checkpoint, other settings or other outputs than this node: the predictions of a stream change when it moves",
+                counted(differing as u64, "member")
+            );
+        }
         thread::park_timeout(TICK);
     }
     membership.leave();
+}
+
+/// The number of members whose label is not that of `own`.
+fn differing_from(own: &str, members: &BTreeSet<String>) -> usize {
+    members.iter().filter(|id| label(id) != label(own)).count()
+}
+
+fn label(id: &str) -> &str {
+    id.rsplit('-').next().unwrap_or(id)
 }
 
 /// Locks a mutex. A panic in another thread leaves its contents consistent: every change is one operation.

@@ -4,7 +4,9 @@
 //! still at any moment:
 //!
 //! - A node joins after it has watched the others for [`SETTLE`], during which it observes the streams that it will own.
-//! - A node that gains streams publishes them [`HAND_OVER`] after the change: by then, their last owner knows too.
+//! - A node that gains streams publishes predictions of frames that arrive [`HAND_OVER`] after the change: by then, their
+//!   last owner knows of the change, and the frames that it may have predicted have arrived.
+//! - A node that has not looked at the others for [`STALE`] publishes nothing until it has.
 //! - Others consider a node that stands still dead after its lease, less the time since its last sign of life. A node
 //!   that has stood still for half of that time publishes nothing, leaves, and joins again under a new id.
 //! - A node that loses all connections leaves too: it cannot know what the others do.
@@ -18,6 +20,9 @@ use eddy_transport::Lease;
 pub(super) const SETTLE: Duration = Duration::from_millis(600);
 /// How long a node withholds predictions of streams that it gains.
 pub(super) const HAND_OVER: Duration = Duration::from_millis(200);
+/// Time since its last look at the others after which a node publishes nothing. The rest of [`HAND_OVER`] is for the
+/// network, which has this time to tell the last owner of a stream of the change.
+const STALE: Duration = Duration::from_millis(100);
 
 /// Members and streams of a group, as one node sees them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,7 +73,7 @@ pub(super) struct View {
 pub(super) struct Standing {
     /// Id of this node; another one after each time that it leaves.
     id: String,
-    /// Longest time between two calls of [`Standing::on_tick`] after which the node may publish.
+    /// Longest time between two calls of [`Standing::on_tick`] after which the node stays a member.
     fence: Duration,
     /// Time of the last one.
     ticked: Duration,
@@ -122,7 +127,8 @@ impl Standing {
         self.see(&others);
     }
 
-    /// Takes `view` at `now`. To be called several times within the fence.
+    /// Takes `view` at `now`. To be called several times within [`STALE`]. [`Change::Join`] asks for an announcement,
+    /// which [`Standing::joined`] or [`Standing::leave`] follows.
     pub(super) fn on_tick(&mut self, now: Duration, view: &View) -> Option<Change> {
         let still = now.saturating_sub(std::mem::replace(&mut self.ticked, now));
         let paused = (still > self.fence).then_some(Reason::Paused(still));
@@ -141,12 +147,7 @@ impl Standing {
             }
             (Phase::Watching { since }, None) => {
                 self.see(&view.members);
-                let joins = now.saturating_sub(since) >= SETTLE;
-                if joins {
-                    self.phase = Phase::Member;
-                    (self.before, self.changed) = (Members::default(), now);
-                }
-                joins.then_some(Change::Join)
+                (now.saturating_sub(since) >= SETTLE).then_some(Change::Join)
             }
             (Phase::Member, None) => {
                 let before = self.members.clone();
@@ -161,6 +162,12 @@ impl Standing {
                 Some(Change::Members(self.members.len()))
             }
         }
+    }
+
+    /// The node was announced just before `now`.
+    pub(super) fn joined(&mut self, now: Duration) {
+        self.phase = Phase::Member;
+        (self.before, self.changed) = (Members::default(), now);
     }
 
     /// Leaves the group.
@@ -191,11 +198,11 @@ impl Standing {
         self.members.owner(stream) == Some(self.id.as_str())
     }
 
-    /// Whether this node may publish a prediction of a stream at `now`.
-    pub(super) fn may_publish(&self, stream: u64, now: Duration) -> bool {
-        let is_alive = now.saturating_sub(self.ticked) <= self.fence;
+    /// Whether this node may publish at `now` what it predicts from a frame of a stream that arrived at `arrived`.
+    pub(super) fn may_publish(&self, stream: u64, arrived: Duration, now: Duration) -> bool {
+        let is_alive = now.saturating_sub(self.ticked) <= STALE.min(self.fence);
         let is_settled =
-            self.is_handed_over(now) || self.before.owner(stream) == Some(self.id.as_str());
+            self.is_handed_over(arrived) || self.before.owner(stream) == Some(self.id.as_str());
         self.phase == Phase::Member && is_alive && is_settled && self.observes(stream)
     }
 
@@ -223,20 +230,31 @@ mod tests {
         Duration::from_millis(milliseconds)
     }
 
+    /// Whether a prediction of a frame that has just arrived may be published.
+    fn may_publish(node: &Standing, stream: u64, now: u64) -> bool {
+        node.may_publish(stream, ms(now), ms(now))
+    }
+
     fn view(members: &[&str]) -> View {
         let members = members.iter().map(|id| (*id).to_owned()).collect();
         View { members, is_connected: true, is_active: true }
     }
 
+    /// Looks at the same others every 50 ms, after which nothing changes.
+    fn look(node: &mut Standing, times: std::ops::RangeInclusive<u64>, members: &[&str]) {
+        for now in times.step_by(50) {
+            assert_eq!(node.on_tick(ms(now), &view(members)), None, "at {now} ms");
+        }
+    }
+
     /// Member `a` at 1 s, with the others that were announced before.
     fn member(others: &[&str]) -> Standing {
-        let mut standing = Standing::new("a", LEASE, ms(0));
-        let changes: Vec<_> =
-            (0..=20).filter_map(|n| standing.on_tick(ms(50 * n), &view(others))).collect();
-        assert_eq!(changes[0], Change::Join);
-        let all = [others, &["a"]].concat();
-        (13..=20).for_each(|n| assert_eq!(standing.on_tick(ms(50 * n), &view(&all)), None));
-        standing
+        let mut node = Standing::new("a", LEASE, ms(0));
+        look(&mut node, 0..=550, others);
+        assert_eq!(node.on_tick(ms(600), &view(others)), Some(Change::Join));
+        node.joined(ms(600));
+        look(&mut node, 650..=1_000, &[others, &["a"]].concat());
+        node
     }
 
     /// A stream that `a` owns beside `b`, and one that it owns alone only.
@@ -253,25 +271,51 @@ mod tests {
         for now in (0..600).step_by(50) {
             assert_eq!(node.on_tick(ms(now), &view(&["b"])), None);
             assert!(node.observes(kept) && !node.observes(lost));
-            assert!(!node.may_publish(kept, ms(now)));
+            assert!(!may_publish(&node, kept, now));
             assert_eq!(node.members(), 1);
         }
         assert_eq!(node.on_tick(ms(600), &view(&["b"])), Some(Change::Join));
+        assert_eq!(node.members(), 1, "before it is announced");
+        node.joined(ms(610));
         assert_eq!(node.members(), 2);
-        assert!(!node.may_publish(kept, ms(799)) && node.may_publish(kept, ms(800)));
+        look(&mut node, 650..=800, &["a", "b"]);
+        assert!(!may_publish(&node, kept, 809) && may_publish(&node, kept, 810));
+    }
+
+    #[test]
+    fn a_node_that_could_not_be_announced_tries_again() {
+        let mut node = Standing::new("a", LEASE, ms(0));
+        look(&mut node, 0..=550, &[]);
+        assert_eq!(node.on_tick(ms(600), &view(&[])), Some(Change::Join));
+        node.leave(ms(600));
+        look(&mut node, 650..=1_150, &[]);
+        assert_eq!(node.on_tick(ms(1_200), &view(&[])), Some(Change::Join));
     }
 
     #[test]
     fn streams_of_a_dead_member_are_published_after_the_hand_over_and_the_others_all_the_time() {
         let (kept, gained) = kept_and_lost();
         let mut node = member(&["b"]);
-        assert!(node.may_publish(kept, ms(1_000)) && !node.may_publish(gained, ms(1_000)));
+        assert!(may_publish(&node, kept, 1_000) && !may_publish(&node, gained, 1_000));
         let epoch = node.epoch();
         assert_eq!(node.on_tick(ms(1_050), &view(&["a"])), Some(Change::Members(1)));
         assert_ne!(node.epoch(), epoch);
         assert!(node.observes(gained));
-        assert!(node.may_publish(kept, ms(1_050)) && !node.may_publish(gained, ms(1_249)));
-        assert!(node.may_publish(gained, ms(1_250)));
+        assert!(may_publish(&node, kept, 1_050) && !may_publish(&node, gained, 1_050));
+        look(&mut node, 1_100..=1_200, &["a"]);
+        assert!(!may_publish(&node, gained, 1_249) && may_publish(&node, gained, 1_250));
+    }
+
+    /// Its last owner may have predicted it.
+    #[test]
+    fn a_frame_from_the_hand_over_is_not_published_after_it() {
+        let (kept, gained) = kept_and_lost();
+        let mut node = member(&["b"]);
+        assert_eq!(node.on_tick(ms(1_050), &view(&["a"])), Some(Change::Members(1)));
+        look(&mut node, 1_100..=1_500, &["a"]);
+        assert!(!node.may_publish(gained, ms(1_249), ms(1_500)));
+        assert!(node.may_publish(kept, ms(1_249), ms(1_500)));
+        assert!(node.may_publish(gained, ms(1_250), ms(1_500)));
     }
 
     #[test]
@@ -279,30 +323,40 @@ mod tests {
         let (kept, gained) = kept_and_lost();
         let mut node = member(&["b"]);
         assert_eq!(node.on_tick(ms(1_050), &view(&["a"])), Some(Change::Members(1)));
-        // `b` comes back and dies again.
-        assert_eq!(node.on_tick(ms(1_100), &view(&["a", "b"])), Some(Change::Members(2)));
+        // Another member joins and leaves.
+        assert_eq!(node.on_tick(ms(1_100), &view(&["a", "c"])), Some(Change::Members(2)));
         assert_eq!(node.on_tick(ms(1_150), &view(&["a"])), Some(Change::Members(1)));
-        assert!(node.may_publish(kept, ms(1_150)) && !node.may_publish(gained, ms(1_300)));
-        assert!(node.may_publish(gained, ms(1_350)));
+        assert!(may_publish(&node, kept, 1_150));
+        look(&mut node, 1_200..=1_300, &["a"]);
+        assert!(!may_publish(&node, gained, 1_349) && may_publish(&node, gained, 1_350));
+    }
+
+    #[test]
+    fn a_node_with_an_old_view_of_the_others_publishes_nothing_until_it_looks_again() {
+        let mut node = member(&[]);
+        assert!(may_publish(&node, 7, 1_100) && !may_publish(&node, 7, 1_101));
+        assert_eq!(node.on_tick(ms(1_300), &view(&["a"])), None, "300 ms are no pause");
+        assert!(may_publish(&node, 7, 1_300));
     }
 
     #[test]
     fn a_node_that_stood_still_publishes_nothing_before_it_has_joined_again_under_another_id() {
         let mut node = member(&[]);
-        // 300 ms is half of the lease less the time between two signs of life.
-        assert!(node.may_publish(7, ms(1_300)));
-        assert!(!node.may_publish(7, ms(1_301)), "also before the next tick");
         let epoch = node.epoch();
+        assert!(!may_publish(&node, 7, 3_999), "also before the next tick");
+        // More than 300 ms: half of the lease less the time between two signs of life.
         let left = node.on_tick(ms(4_000), &view(&["a"]));
         assert_eq!(left, Some(Change::Leave(Reason::Paused(ms(3_000)))));
         assert_eq!(node.epoch().left, epoch.left + 1);
         node.rename("a2");
         for now in (4_050..4_600).step_by(50) {
             assert_eq!(node.on_tick(ms(now), &view(&[])), None);
-            assert!(!node.may_publish(7, ms(now)));
+            assert!(!may_publish(&node, 7, now));
         }
         assert_eq!(node.on_tick(ms(4_600), &view(&[])), Some(Change::Join));
-        assert!(!node.may_publish(7, ms(4_799)) && node.may_publish(7, ms(4_800)));
+        node.joined(ms(4_600));
+        look(&mut node, 4_650..=4_750, &["a2"]);
+        assert!(!may_publish(&node, 7, 4_799) && may_publish(&node, 7, 4_800));
     }
 
     #[test]
@@ -323,7 +377,7 @@ mod tests {
         let inactive = View { is_active: false, ..view(&["a"]) };
         let left = node.on_tick(ms(1_050), &inactive);
         assert_eq!(left, Some(Change::Leave(Reason::Inactive)));
-        assert!(!node.may_publish(7, ms(1_050)));
+        assert!(!may_publish(&node, 7, 1_050));
         assert_eq!(node.on_tick(ms(1_100), &inactive), None);
     }
 
@@ -336,7 +390,7 @@ mod tests {
     }
 
     fn history() -> impl Strategy<Value = History> {
-        (0_u64..3_000, (0_u64..8_000, 0_u64..3_000), 0_u64..190)
+        (0_u64..3_000, (0_u64..8_000, 0_u64..3_000), 0_u64..90)
             .prop_map(|(joins, pause, delay)| History { joins, pause, delay })
     }
 
@@ -372,13 +426,19 @@ mod tests {
                     let (node, left) = nodes[number].get_or_insert_with(|| {
                         (Standing::new(&id(number, 0), LEASE, ms(now)), 0)
                     });
-                    if (now / 10) % 5 == number as u64 {
+                    // Now and then, the thread that looks is late.
+                    let is_late = (now / 500 + number as u64) % 5 == 0;
+                    let interval = if is_late { 29 } else { 5 };
+                    if (now / 10) % interval == number as u64 {
                         let seen = now.saturating_sub(history.delay);
                         let alive = tokens.iter().filter(|(_, from, to)| (*from..*to).contains(&seen));
                         let members = alive.map(|(id, ..)| id.clone()).collect();
                         let view = View { members, is_connected: true, is_active: true };
                         match node.on_tick(ms(now), &view) {
-                            Some(Change::Join) => tokens.push((id(number, *left), now, u64::MAX)),
+                            Some(Change::Join) => {
+                                tokens.push((id(number, *left), now, u64::MAX));
+                                node.joined(ms(now));
+                            }
                             Some(Change::Leave(_)) => {
                                 let own = id(number, *left);
                                 tokens.iter_mut().filter(|(id, ..)| *id == own).for_each(|token| {
@@ -391,7 +451,7 @@ mod tests {
                         }
                     }
                     for stream in 0..STREAMS {
-                        published[stream as usize] += u32::from(node.may_publish(stream, ms(now)));
+                        published[stream as usize] += u32::from(may_publish(node, stream, now));
                     }
                 }
                 prop_assert!(published.iter().all(|&by| by <= 1), "at {} ms: {:?}", now, published);
