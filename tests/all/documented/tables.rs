@@ -51,6 +51,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("bench training", "bench training --seconds 0.02", "a short run"),
     ("bench transport", "bench transport --messages 20", "a short run"),
     ("bench node", "bench node --seconds 0.5", "a short run"),
+    (
+        "bench group --nodes 10 --streams 1000",
+        "bench group --nodes 2 --streams 10 --particles 50 --hertz 10 --seconds 1",
+        "a short run of few nodes",
+    ),
     ("--hertz 250 --seconds 15", "--hertz 250 --seconds 0.5", "a short run"),
     ("bench bag --seconds 4", "bench bag --seconds 0.1 --particles 1000", "a short run"),
     (

@@ -172,7 +172,8 @@ fn keep(shared: &Shared, mut membership: Box<dyn Membership>) {
             ),
             Some(Change::Leave(Reason::Inactive)) => tracing::info!("group {name}: left"),
         }
-        let before = std::mem::replace(&mut differing, differing_from(membership.id(), &view.members));
+        let before =
+            std::mem::replace(&mut differing, differing_from(membership.id(), &view.members));
         if differing > before {
             tracing::warn!(
                 "group {name}: {} started with another checkpoint, other settings or other outputs than this node: the predictions of a stream change when it moves",
