@@ -34,6 +34,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
         "no PyTorch here; the shipped checkpoint stands in",
     ),
     ("10.0.0.1:7447", "127.0.0.1:{port}", "no router is running"),
+    (r#"mode="client";"#, "", "a client does not start without its router"),
     ("--preset snowball --publish", "--preset snowball --duration 0.5 --publish", "a short scene"),
     ("eddy demo", "eddy demo --headless --seconds 1", "a short scene"),
     ("--seconds 1 --headless --seconds 4", "--seconds 1", "a short scene"),

@@ -379,6 +379,20 @@ fn the_least_recently_used_stream_is_evicted() {
 }
 
 #[test]
+fn a_stream_that_another_member_owns_is_forgotten_and_warms_up_when_it_comes_back() {
+    let mut node = node(NodeSettings::default());
+    for sequence in 0..WARM_UP {
+        for stream in [1, 2] {
+            feed(&mut node, frame(stream, sequence));
+        }
+    }
+    node.hand_over(|stream| stream == 1);
+    assert_eq!((node.streams(), node.counters().handed_over), (1, 1));
+    assert_eq!(feed(&mut node, frame(1, WARM_UP)).len(), 1);
+    assert_eq!(feed(&mut node, frame(2, WARM_UP)).len(), 0);
+}
+
+#[test]
 fn a_free_run_continues_at_dt_without_input() {
     let mut node = node(NodeSettings { free_run: Some(4), ..NodeSettings::default() });
     let observed = feed_all(&mut node, (0..4).map(|s| frame(1, s)));
