@@ -3,8 +3,11 @@
 use std::{
     collections::BTreeMap,
     fs::{self, File},
-    net::TcpStream,
+    io,
+    net::{Shutdown, TcpListener, TcpStream},
     path::PathBuf,
+    sync::{Arc, Mutex},
+    thread,
     time::{Duration, Instant},
 };
 
@@ -70,12 +73,17 @@ impl Network {
 
     /// Starts a member of the group.
     fn node(&self, name: &str, options: &[&str]) -> Node {
+        self.node_at(self.port, name, options)
+    }
+
+    /// Starts a member that connects to this port.
+    fn node_at(&self, port: u16, name: &str, options: &[&str]) -> Node {
         let log = self.folder.path().join(name);
         let mut command = talking_eddy();
         command.args(["--log-level", "info", "node", "--threads", "1", "--group", "robots"]);
         command.args(["--input", &self.link("particles").to_string()]);
         command.args(["--output", &self.link("prediction").to_string()]).args(options);
-        command.env("ZENOH_CONFIG_OVERRIDE", client(self.port)).env("ROS_DOMAIN_ID", "0");
+        command.env("ZENOH_CONFIG_OVERRIDE", client(port)).env("ROS_DOMAIN_ID", "0");
         command.stderr(File::create(&log).unwrap());
         Node { process: Process::start(&mut command), log }
     }
@@ -103,6 +111,42 @@ impl Network {
 /// The configuration of a process that is connected to the router only.
 fn client(port: u16) -> String {
     format!(r#"mode="client";connect/endpoints=["tcp/127.0.0.1:{port}"]"#)
+}
+
+/// A port that leads to the router, and whose connections can be cut.
+struct Cable {
+    port: u16,
+    connections: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Cable {
+    fn to(router: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let connections = Arc::<Mutex<Vec<TcpStream>>>::default();
+        let kept = Arc::clone(&connections);
+        // Ends with the tests' process.
+        thread::spawn(move || {
+            for near in listener.incoming().map(Result::unwrap) {
+                let far = TcpStream::connect(("127.0.0.1", router)).unwrap();
+                for (from, to) in [(&near, &far), (&far, &near)] {
+                    let (mut from, mut to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
+                    thread::spawn(move || {
+                        let _ = io::copy(&mut from, &mut to); // ends with an error when it is cut
+                        let _ = to.shutdown(Shutdown::Both);
+                    });
+                }
+                kept.lock().unwrap().extend([near, far]);
+            }
+        });
+        Self { port, connections }
+    }
+
+    fn cut(&self) {
+        for connection in self.connections.lock().unwrap().drain(..) {
+            connection.shutdown(Shutdown::Both).unwrap();
+        }
+    }
 }
 
 struct Node {
@@ -314,6 +358,29 @@ fn a_node_that_was_paused_says_so_once_and_joins_again_and_nothing_is_published_
     assert_eq!(paused.lines("WARN"), said);
     assert_eq!(other.lines("WARN"), [""; 0]);
     assert!(other.process.is_running());
+}
+
+/// It connects again at once, and with it comes the token of the id that the others took for dead.
+#[test]
+fn a_node_whose_connection_breaks_joins_again_under_another_id_and_nothing_is_published_twice() {
+    let network = Network::new();
+    let cable = Cable::to(network.port);
+    let cut = network.node_at(cable.port, "cut", &[]);
+    let others = [network.node("one", &[]), network.node("two", &[])];
+    let members = || network.members.members();
+    wait_for("the nodes join", || (members().len() == 3).then_some(()));
+    let (before, mut streams) = (members(), network.streams());
+    streams.start();
+    cable.cut();
+    streams.advance_until("it leaves", |_| !before.is_subset(&members()));
+    streams.advance_until("it joins again", |_| members().len() == 3 && members() != before);
+    streams.advance_by(AFTER);
+    streams.finish();
+    streams.nothing_was_predicted_twice();
+    streams.no_stream_was_silent_for_long();
+    assert_eq!(members().intersection(&before).count(), 2);
+    assert_eq!(cut.lines("lost all connections").len(), 1, "{:?}", cut.lines(""));
+    others.iter().for_each(|other| assert_eq!(other.lines("WARN"), [""; 0]));
 }
 
 #[test]

@@ -32,8 +32,8 @@ pub trait Membership: Send {
     /// The ids of the announced processes, as far as they are known here.
     fn members(&self) -> BTreeSet<String>;
 
-    /// Whether this process is connected to any other.
-    fn is_connected(&self) -> bool;
+    /// Whether this process is connected to any other, and has been since the last call.
+    fn is_connected(&mut self) -> bool;
 
     /// How others notice the silence of this process.
     fn lease(&self) -> Lease;

@@ -5,14 +5,20 @@
 //! router withdraws the tokens of its clients from all others in the same way.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, Mutex},
+    time::Duration,
 };
+
+use eddy_frames::clock::Clock;
 
 use zenoh::{Wait, liveliness::LivelinessToken, pubsub, sample::SampleKind};
 
 use super::{ZenohNode, graph, middleware};
 use crate::{Lease, Link, TransportError, lock, membership::Membership};
+
+/// Longest interruption that [`Membership::is_connected`] may miss by looking at the connections.
+const BRIEF: Duration = Duration::from_millis(200);
 
 pub(super) struct ZenohMembership {
     link: Link,
@@ -23,7 +29,7 @@ pub(super) struct ZenohMembership {
     /// How often it has left.
     left: u64,
     label: String,
-    members: Arc<Mutex<BTreeSet<String>>>,
+    tokens: Arc<Mutex<Tokens>>,
     token: Option<LivelinessToken>,
     _watch: pubsub::Subscriber<()>,
     node: Arc<ZenohNode>,
@@ -40,8 +46,8 @@ impl ZenohMembership {
     ) -> Result<Self, TransportError> {
         let prefix =
             format!("eddy/group/{}/{}/{group}", node.node.domain_id, link.topic.replace('/', "%"));
-        let members = Arc::<Mutex<BTreeSet<String>>>::default();
-        let seen = Arc::clone(&members);
+        let tokens = Arc::new(Mutex::new(Tokens::new(own(node))));
+        let (seen, clock) = (Arc::clone(&tokens), Clock::start());
         let watch = node
             .session
             .liveliness()
@@ -50,9 +56,9 @@ impl ZenohMembership {
             .callback(move |sample| {
                 let Some((_, id)) = sample.key_expr().as_str().rsplit_once('/') else { return };
                 match sample.kind() {
-                    SampleKind::Put => lock(&seen).insert(id.to_owned()),
-                    SampleKind::Delete => lock(&seen).remove(id),
-                };
+                    SampleKind::Put => lock(&seen).appears(id, clock.now()),
+                    SampleKind::Delete => lock(&seen).vanishes(id, clock.now()),
+                }
             })
             .wait()
             .map_err(|error| middleware(link, "watch the members of the group", &error))?;
@@ -62,7 +68,7 @@ impl ZenohMembership {
             id: id(node, 0, label),
             left: 0,
             label: label.to_owned(),
-            members,
+            tokens,
             token: None,
             _watch: watch,
             node: Arc::clone(node),
@@ -70,9 +76,14 @@ impl ZenohMembership {
     }
 }
 
+/// What the ids of this process begin with.
+fn own(node: &ZenohNode) -> String {
+    format!("{}-", node.node.zid)
+}
+
 /// Two nodes never have the same id, nor one node twice.
 fn id(node: &ZenohNode, left: u64, label: &str) -> String {
-    format!("{}-{left}-{label}", node.node.zid)
+    format!("{}{left}-{label}", own(node))
 }
 
 impl Membership for ZenohMembership {
@@ -94,19 +105,100 @@ impl Membership for ZenohMembership {
     }
 
     fn members(&self) -> BTreeSet<String> {
-        // The tokens of this process that are still on their way do not count.
-        let own = format!("{}-", self.node.node.zid);
-        let is_known =
-            |id: &&String| !id.starts_with(&own) || self.token.is_some() && **id == self.id;
-        lock(&self.members).iter().filter(is_known).cloned().collect()
+        let own = self.token.is_some().then(|| self.id.clone());
+        lock(&self.tokens).others.iter().cloned().chain(own).collect()
     }
 
-    fn is_connected(&self) -> bool {
+    fn is_connected(&mut self) -> bool {
+        let was_interrupted = std::mem::take(&mut lock(&self.tokens).was_interrupted);
         let info = self.node.session.info();
-        info.peers_zid().wait().next().is_some() || info.routers_zid().wait().next().is_some()
+        let mut connections = info.peers_zid().wait().chain(info.routers_zid().wait());
+        !was_interrupted && connections.next().is_some()
     }
 
     fn lease(&self) -> Lease {
         self.node.lease
+    }
+}
+
+/// The tokens of other processes.
+#[derive(Debug)]
+struct Tokens {
+    own: String,
+    others: BTreeSet<String>,
+    /// When those that are gone vanished.
+    vanished: BTreeMap<String, Duration>,
+    was_interrupted: bool,
+}
+
+impl Tokens {
+    fn new(own: String) -> Self {
+        Self { own, others: BTreeSet::new(), vanished: BTreeMap::new(), was_interrupted: false }
+    }
+
+    /// Zenoh announces the tokens that exist when it connects again: when all have vanished and one comes back, the
+    /// connections were interrupted, however briefly. Nobody else joins under an id that has vanished.
+    fn appears(&mut self, id: &str, now: Duration) {
+        // This process knows of its own tokens without zenoh, which may still be on their way.
+        if id.starts_with(&self.own) {
+            return;
+        }
+        let is_back = self.vanished.remove(id).is_some_and(|then| now.saturating_sub(then) < BRIEF);
+        self.was_interrupted |= is_back && self.others.is_empty();
+        self.others.insert(id.to_owned());
+    }
+
+    fn vanishes(&mut self, id: &str, now: Duration) {
+        if self.others.remove(id) {
+            self.vanished.retain(|_, then| now.saturating_sub(*then) < BRIEF);
+            self.vanished.insert(id.to_owned(), now);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(milliseconds: u64) -> Duration {
+        Duration::from_millis(milliseconds)
+    }
+
+    fn two_others() -> Tokens {
+        let mut tokens = Tokens::new("me-".to_owned());
+        ["a-0", "b-0"].into_iter().for_each(|id| tokens.appears(id, ms(0)));
+        tokens
+    }
+
+    #[test]
+    fn the_connections_were_interrupted_when_all_others_vanish_and_one_comes_back() {
+        let mut tokens = two_others();
+        ["a-0", "b-0"].into_iter().for_each(|id| tokens.vanishes(id, ms(1_000)));
+        assert!(!tokens.was_interrupted);
+        ["a-0", "b-0"].into_iter().for_each(|id| tokens.appears(id, ms(1_003)));
+        assert!(tokens.was_interrupted);
+        assert_eq!(tokens.others, ["a-0", "b-0"].map(str::to_owned).into());
+    }
+
+    #[test]
+    fn others_that_die_join_or_were_cut_off_are_no_interruption_here() {
+        let mut tokens = two_others();
+        // One of two is cut off for a moment.
+        tokens.vanishes("a-0", ms(1_000));
+        tokens.appears("a-0", ms(1_003));
+        // Both die, and another one joins.
+        ["a-0", "b-0"].into_iter().for_each(|id| tokens.vanishes(id, ms(2_000)));
+        tokens.appears("c-0", ms(2_003));
+        // The last one is cut off for longer, while this process was connected to others.
+        tokens.vanishes("c-0", ms(3_000));
+        tokens.appears("c-0", ms(4_000));
+        assert!(!tokens.was_interrupted);
+    }
+
+    #[test]
+    fn own_tokens_are_not_among_the_others() {
+        let mut tokens = two_others();
+        tokens.appears("me-0-label", ms(0));
+        assert_eq!(tokens.others.len(), 2);
     }
 }

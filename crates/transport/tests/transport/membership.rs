@@ -69,7 +69,7 @@ fn a_process_alone_is_not_connected_and_its_lease_is_that_of_its_options() {
     let mut options = options();
     options.zenoh.lease = Duration::from_millis(800);
     let transports = Transports::new(options.clone());
-    let alone = membership(&transports, &link("zenoh"), "a");
+    let mut alone = membership(&transports, &link("zenoh"), "a");
     assert!(!alone.is_connected());
     let (duration, keep_alive) = (Duration::from_millis(800), Duration::from_millis(200));
     assert_eq!(alone.lease(), Lease { duration, keep_alive });
