@@ -104,7 +104,7 @@ pub enum BenchError {
 /// [`BenchError`].
 pub fn time(program: &Path, plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timing, BenchError> {
     let description = Checkpoint::shipped()?.description;
-    let frame = particles::frame_for(&description, plan.particles);
+    let frame = particles::body_for(&description, plan.particles);
     let mut network = Network::start(program, plan)?;
     network.wait(plan)?;
     let (source, predictions) = (network.source()?, network.predictions()?);
@@ -161,9 +161,9 @@ impl Network {
         let prefix = format!("/bench_{}", std::process::id());
         let port = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?.port();
         let endpoint = format!(r#"["tcp/127.0.0.1:{port}"]"#);
-        let node = |input: &str, output: &str, overrides: &str| {
+        let node = |log_level: &str, input: &str, output: &str, overrides: &str| {
             let mut command = Command::new(program);
-            command.args(["--quiet", "node", "--threads", "1"]);
+            command.args(["--quiet", "--log-level", log_level, "node", "--threads", "1"]);
             command.args(["--input", &format!("zenoh:{prefix}/{input}")]);
             command.args(["--output", &format!("zenoh:{prefix}/{output}")]);
             command.env("ZENOH_CONFIG_OVERRIDE", overrides);
@@ -172,8 +172,10 @@ impl Network {
         };
         // The router is a node without input in zenoh's router mode.
         let router = format!(r#"mode="router";listen/endpoints={endpoint};connect/endpoints=[]"#);
-        let router =
-            Process::start("the router".into(), &mut node("nothing", "unpredicted", &router))?;
+        let router = Process::start(
+            "the router".into(),
+            &mut node("error", "nothing", "unpredicted", &router),
+        )?;
         let clock = Clock::start();
         while TcpStream::connect((Ipv4Addr::LOCALHOST, port)).is_err() {
             if clock.now() > START_TIMEOUT {
@@ -183,7 +185,7 @@ impl Network {
         }
         let client = format!(r#"mode="client";connect/endpoints={endpoint}"#);
         let nodes = (0..plan.nodes).map(|number| {
-            let mut node = node("particles", "prediction", &client);
+            let mut node = node("warn", "particles", "prediction", &client);
             node.args(["--group", GROUP, "--ros-args", "-r", &format!("__node:=bench_{number}")]);
             // Any one may have to keep them all.
             node.args(["-p", &format!("max_streams:={}", plan.streams)]);
