@@ -199,8 +199,7 @@ impl Drop for CloseOnDrop<'_> {
 }
 
 /// Fills the queue with messages of the streams that the node observes until `stop` is raised, then with those that had
-/// already arrived. Keeps `lost` at the number of
-/// messages dropped by the transport.
+/// already arrived. Keeps `lost` at the number of messages dropped by the transport.
 fn receive(
     input: &mut dyn Subscriber,
     queue: &FrameQueue,
@@ -216,13 +215,11 @@ fn receive(
         }
         let timeout = if end.is_some() { Duration::ZERO } else { MAX_WAIT };
         match input.receive(timeout)? {
-            Some(payload) => {
-                if group.is_none_or(|group| group.accepts(payload.stream())) {
-                    queue.push(clock.now(), payload);
-                }
+            Some(payload) if group.is_none_or(|group| group.accepts(payload.stream())) => {
+                queue.push(clock.now(), payload);
             }
             None if end.is_some() => break,
-            None => {}
+            Some(_) | None => {}
         }
         lost.store(input.refused(), Ordering::Relaxed);
     }

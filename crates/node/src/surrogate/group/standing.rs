@@ -427,7 +427,7 @@ mod tests {
                         (Standing::new(&id(number, 0), LEASE, ms(now)), 0)
                     });
                     // Now and then, the thread that looks is late.
-                    let is_late = (now / 500 + number as u64) % 5 == 0;
+                    let is_late = (now / 500 + number as u64).is_multiple_of(5);
                     let interval = if is_late { 29 } else { 5 };
                     if (now / 10) % interval == number as u64 {
                         let seen = now.saturating_sub(history.delay);
