@@ -392,7 +392,7 @@ fn a_node_whose_connection_breaks_joins_again_under_another_id_and_nothing_is_pu
 fn a_member_that_starts_with_other_settings_is_named_in_the_log_of_the_others() {
     let network = Network::new();
     let nodes = [network.node("one", &[]), network.node("two", &["--horizon", "2"])];
-    for node in nodes {
+    for node in &nodes {
         let line = wait_for("it names the other", || node.warnings().pop());
         assert!(line.contains("group robots: 1 member started with another checkpoint"), "{line}");
     }
