@@ -220,7 +220,7 @@ fn a_node_on_shared_memory_allocates_nothing_from_receive_to_publish() {
         let (mut input, mut sink) = (subscriber(&there, "in"), subscriber(&here, "out"));
         let mut outputs = [outputs(&there, &topic("out"))];
         let (name, time) = ("/node".to_owned(), RosTime::system());
-        let mut context = NodeContext { name, input: topic("in"), time };
+        let mut context = NodeContext { name, input: topic("in"), time, group: None };
         let mut source =
             here.publisher(&topic("in"), ParticleFrame::TYPE, Reliability::Block).unwrap();
         let stop = AtomicBool::new(false);

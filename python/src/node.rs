@@ -158,11 +158,12 @@ impl Node {
             return Err(wrong("output", "no links", "at least 1"));
         }
         let links = NodeLinks { input: link(input)?, outputs };
-        links.renamed(&ros).check(false).map_err(invalid)?;
         let mut node_settings = NodeSettings::default();
         for parameter in settings.map(parameters).transpose()?.unwrap_or_default() {
             node_settings.set(&parameter).map_err(invalid)?;
         }
+        let is_in_group = !node_settings.group.is_empty();
+        links.renamed(&ros).check(false, is_in_group).map_err(invalid)?;
         let surrogate = match surrogate {
             Some(Model::Loaded(surrogate)) => surrogate.get().inner.clone(),
             Some(Model::Path(path)) => surrogate::load(py, Some(&path), None)?,

@@ -130,6 +130,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ("bench training", &["eddy bench training --step frame:mingru:2 --step core:lstm:16"]),
     ("bench transport", &["eddy bench transport --transport shm,zenoh --particles 2500"]),
     ("bench node", &["eddy bench node --streams 16 --hertz 20"]),
+    ("bench group", &["eddy bench group --nodes 10 --streams 1000"]),
     ("bench replay", &["eddy bench replay --hertz 250 --seconds 15"]),
     ("bench view", &["eddy bench view --particles 100000 --seconds 4"]),
     ("bench bag", &["eddy bench bag --seconds 4 --json"]),

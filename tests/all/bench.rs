@@ -119,6 +119,28 @@ fn a_node_is_timed_with_all_its_streams() {
 }
 
 #[test]
+fn nodes_that_share_streams_are_timed() {
+    let arguments = ["bench", "group", "--nodes", "3", "--streams", "20", "--particles", "50"];
+    let more = ["--hertz", "10", "--seconds", "2", "--json"];
+    let report: Value = serde_json::from_str(&succeed(arguments.iter().chain(&more))).unwrap();
+    let timing = &report["timing"];
+    let counts = ["frames", "lost", "twice"].map(|count| timing[count].as_u64().unwrap());
+    assert_eq!(counts, [400, 0, 0], "{report}");
+    assert!(timing["way"]["p50"].as_f64().unwrap() > 0.0, "{report}");
+    #[cfg(target_os = "linux")]
+    assert!(timing["processor"]["nodes"].as_f64().unwrap() > 0.0, "{report}");
+
+    // A node is killed after 2 s: its streams warm up elsewhere.
+    let more = ["--hertz", "10", "--seconds", "4", "--kill", "--json"];
+    let report: Value = serde_json::from_str(&succeed(arguments.iter().chain(&more))).unwrap();
+    let timing = &report["timing"];
+    assert_eq!((&timing["frames"], &timing["twice"]), (&800.into(), &0.into()), "{report}");
+    assert!((1..200).contains(&timing["lost"].as_u64().unwrap()), "{report}");
+    assert!(timing["silence"].as_f64().unwrap() < 1.5, "{report}");
+    assert!(fail(2, ["bench", "group", "--nodes", "1", "--kill"]).contains("nodes: found 1"));
+}
+
+#[test]
 fn a_benchmark_without_threads_or_time_is_wrong_usage() {
     let message = fail(2, ["bench", "inference", "--threads", "0"]);
     assert!(message.contains("--threads"), "{message}");

@@ -17,6 +17,7 @@ mod exchange;
 #[cfg(feature = "foxglove")]
 mod foxglove;
 mod graph;
+mod group;
 mod hostile;
 mod launch;
 mod launch_configs;

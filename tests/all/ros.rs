@@ -353,7 +353,7 @@ fn what_is_set_is_told_on_parameter_events_and_simulated_time_can_be_switched_on
     let of = |name: &str, value| Parameter { name: name.to_owned(), value };
     let time = RosTime::new(Box::new(open));
     let (name, link) = ("/n/eddy_node".to_owned(), Link::memory("/particles"));
-    let mut context = NodeContext { name, input: link, time };
+    let mut context = NodeContext { name, input: link, time, group: None };
     thread::scope(|scope| {
         scope.spawn(|| {
             let (input, context) = (input.as_mut(), &mut context);

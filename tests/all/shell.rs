@@ -108,7 +108,7 @@ const NEARLY: &[(&str, i32, &str)] = &[
     ("node --input zneoh:/particles", 2, "; did you mean zenoh?"),
     ("record zenoh:particles --output /x", 2, "; did you mean /particles?"),
     ("replay bags/sample --to znoh", 2, "; did you mean zenoh?"),
-    ("node --ros-args -p horizn:=3", 1, "use_sim_time; did you mean horizon?"),
+    ("node --ros-args -p horizn:=3", 1, "group; did you mean horizon?"),
     ("replay bags/sample --topics /partcles", 1, "; did you mean /particles?"),
     ("bag filter bags/sample --topics /partcles --output o", 1, "; did you mean /particles?"),
     ("bag render bags/sample --topic /partcles --output o.gif", 1, "; did you mean /particles?"),

@@ -11,7 +11,9 @@ use eddy_messages::{Message, ParticleFrame};
 use eddy_transport::{Link, Subscriber, TransportKind, TransportOptions, Transports};
 use tempfile::TempDir;
 
-use crate::support::{DEADLINE, Process, domain, eddy, free_port, simulate, talking_eddy, unique};
+use crate::support::{
+    DEADLINE, Process, domain, eddy, free_port, send, simulate, talking_eddy, unique,
+};
 
 /// Programs on one transport, and this process's end of it.
 struct Network {
@@ -70,11 +72,6 @@ impl Network {
         simulate(&self.path("truth"), 1, 2.0);
         self.path("truth/scene_0000")
     }
-}
-
-fn send(signal: &str, process: &Process) {
-    let id = process.id().to_string();
-    assert!(Command::new("kill").args([signal, &id]).status().unwrap().success());
 }
 
 /// Reads until `count` frames have arrived.

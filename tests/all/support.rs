@@ -92,8 +92,7 @@ impl Process {
 
     /// Asks it to end, as Ctrl-C does.
     pub fn interrupt(&self) {
-        let id = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        send("-INT", self);
     }
 
     /// Its number.
@@ -128,6 +127,12 @@ impl Drop for Process {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Sends a signal to a process.
+pub fn send(signal: &str, process: &Process) {
+    let id = process.id().to_string();
+    assert!(Command::new("kill").args([signal, &id]).status().unwrap().success());
 }
 
 /// Asks again and again until there is an answer.

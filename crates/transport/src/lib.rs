@@ -6,13 +6,14 @@
 //!    each middleware implements.
 //! 4. `discovered`: topics found on a transport.
 //! 5. `queue`: the bounded queue between a middleware's thread and a subscriber.
-//! 6. `patience`: how long a blocking publisher waits.
-//! 7. `memory`: within this process.
-//! 8. `shm`: shared memory (iceoryx2).
-//! 9. `zenoh`: the wire format of ROS 2's rmw_zenoh.
-//! 10. `dds`: the wire format of ROS 2's DDS middlewares (RTPS).
-//! 11. `foxglove`: a WebSocket server for Foxglove's application, publishing only; `address`: where it listens.
-//! 12. `bare`: middleware without eddy's layers, for benchmarks.
+//! 6. `membership`: groups of processes that share work.
+//! 7. `patience`: how long a blocking publisher waits.
+//! 8. `memory`: within this process.
+//! 9. `shm`: shared memory (iceoryx2).
+//! 10. `zenoh`: the wire format of ROS 2's rmw_zenoh.
+//! 11. `dds`: the wire format of ROS 2's DDS middlewares (RTPS).
+//! 12. `foxglove`: a WebSocket server for Foxglove's application, publishing only; `address`: where it listens.
+//! 13. `bare`: middleware without eddy's layers, for benchmarks.
 //!
 //! A topic of type `eddy_msgs/msg/ParticleFrame` carries frames; every other topic carries CDR bytes.
 //! A transport may carry frames in its own form (shared memory does), so subscribers of frames must expect every
@@ -29,6 +30,7 @@ pub mod foreign;
 #[cfg(feature = "foxglove")]
 mod foxglove;
 mod link;
+mod membership;
 mod memory;
 mod middleware;
 mod patience;
@@ -49,6 +51,7 @@ pub use address::{InvalidAddress, ListenAddress};
 #[cfg(feature = "lab")]
 pub use bare::{BarePair, BarePublisher, BareSubscriber};
 pub use link::{InvalidLink, Link, TransportKind};
+pub use membership::{Lease, Membership};
 pub use payload::Payload;
 #[cfg(feature = "shm")]
 pub use shm::{SharedFrame, SharedMemory};
@@ -168,6 +171,11 @@ pub enum TransportError {
         "{link}: found a message of {found} bytes, expected at most {limit} (use shm or zenoh for larger ones)"
     )]
     TooLarge { link: Link, found: usize, limit: usize },
+    /// The transport has no groups.
+    #[error(
+        "group: found {link}, expected a topic on zenoh, whose liveliness tokens say who is alive"
+    )]
+    NoGroups { link: Link },
     /// This program was built without the transport.
     #[error(
         "{link}: this program was built without this transport (feature `{}` of eddy-transport)",

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    Handler, Link, Membership, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
     TransportError,
 };
 use eddy_messages::{QosProfile, TypeSupport};
@@ -66,6 +66,16 @@ pub(crate) trait Middleware: Send + Sync {
     /// The known topics. `link` is for error messages.
     fn topics(&self, _link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
         Ok(Vec::new())
+    }
+
+    /// Watches the members of a group among the processes that read the topic of `link`.
+    fn membership(
+        self: Arc<Self>,
+        link: &Link,
+        _group: &str,
+        _label: &str,
+    ) -> Result<Box<dyn Membership>, TransportError> {
+        Err(TransportError::NoGroups { link: link.clone() })
     }
 
     /// The shared memory of a topic; `None` if the middleware has none.

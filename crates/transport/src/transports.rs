@@ -8,7 +8,7 @@ use std::{
 };
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
+    Handler, Link, Membership, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
     TransportError, TransportKind, lock, memory::Broker, middleware::Middleware,
     patience::Patience,
 };
@@ -67,6 +67,9 @@ pub struct ZenohOptions {
     pub overrides: String,
     /// Endpoint of an optional router [default: `tcp/localhost:7447`].
     pub router: String,
+    /// How long others wait for a sign of life of this process before they consider it dead (`transport/link/tx/lease`)
+    /// [default: 60 s]. The end of a process is noticed at once.
+    pub lease: Duration,
     /// Loopback ports on which eddy processes find each other without a router [default: 7448..=7463].
     pub ports: RangeInclusive<u16>,
 }
@@ -77,6 +80,7 @@ impl Default for ZenohOptions {
             config_file: None,
             overrides: String::new(),
             router: "tcp/localhost:7447".to_owned(),
+            lease: Duration::from_secs(60),
             ports: 7448..=7463,
         }
     }
@@ -336,6 +340,21 @@ impl Transports {
         topics.sort();
         topics.dedup();
         Ok(topics)
+    }
+
+    /// Watches the members of a group among the processes that read a topic; this process is not one of them before
+    /// [`Membership::join`]. Groups of different topics or domains are different groups. Others see the `label` of this
+    /// process at the end of its id. Only Zenoh has groups.
+    ///
+    /// # Errors
+    /// [`TransportError::NoGroups`]; as [`Transports::publisher`].
+    pub fn membership(
+        &self,
+        link: &Link,
+        group: &str,
+        label: &str,
+    ) -> Result<Box<dyn Membership>, TransportError> {
+        self.middleware(link)?.membership(link, group, label)
     }
 
     /// The memory that the publishers of a topic of type `type_name` have made for it; `None` where nothing is

@@ -114,7 +114,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         let predictor = scope.spawn(move || {
             let time = RosTime::new(simulated_time(transports.clone()));
             let (name, link) = (format!("/{NAME}"), Link::memory("/particles"));
-            let mut context = NodeContext { name, input: link, time };
+            let mut context = NodeContext { name, input: link, time, group: None };
             drive(node, &mut context, input, outputs, &queue, handle, stop)
         });
 

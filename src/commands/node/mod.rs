@@ -93,7 +93,7 @@ pub fn run(
     let links = NodeLinks::new(args.input.or(file.input), outputs)
         .map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
     let renamed = links.renamed(ros);
-    renamed.check(args.lifecycle).map_err(Usage::new)?;
+    renamed.check(args.lifecycle, !settings.group.is_empty()).map_err(Usage::new)?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
     let qos = TopicQos::of(ros.parameters())?;
 

@@ -44,6 +44,7 @@ pages! {
     how_to_run_on_a_cluster: "docs/src/how-to/cluster.md",
     how_to_compare_cores: "docs/src/how-to/cores.md",
     how_to_serve_many_streams: "docs/src/how-to/streams.md",
+    how_to_share_streams: "docs/src/how-to/many_robots.md",
     how_to_work_on_two_machines: "docs/src/how-to/two_machines.md",
     how_to_talk_to_ros: "docs/src/how-to/ros.md",
     how_to_drive_a_replay: "docs/src/how-to/replay.md",

@@ -34,6 +34,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
         "no PyTorch here; the shipped checkpoint stands in",
     ),
     ("10.0.0.1:7447", "127.0.0.1:{port}", "no router is running"),
+    (r#"mode="client";"#, "", "a client does not start without its router"),
     ("--preset snowball --publish", "--preset snowball --duration 0.5 --publish", "a short scene"),
     ("eddy demo", "eddy demo --headless --seconds 1", "a short scene"),
     ("--seconds 1 --headless --seconds 4", "--seconds 1", "a short scene"),
@@ -51,6 +52,11 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("bench training", "bench training --seconds 0.02", "a short run"),
     ("bench transport", "bench transport --messages 20", "a short run"),
     ("bench node", "bench node --seconds 0.5", "a short run"),
+    (
+        "bench group --nodes 10 --streams 1000",
+        "bench group --nodes 2 --streams 10 --particles 50 --hertz 10 --seconds 1",
+        "a short run of few nodes",
+    ),
     ("--hertz 250 --seconds 15", "--hertz 250 --seconds 0.5", "a short run"),
     ("bench bag --seconds 4", "bench bag --seconds 0.1 --particles 1000", "a short run"),
     (

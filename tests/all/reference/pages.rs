@@ -167,6 +167,7 @@ pub fn values(spec: &ParameterSpec) -> String {
             format!("{} or more {unit}", range.start())
         }
         Values::Integer { range, unit } => format!("{} to {} {unit}", range.start(), range.end()),
+        Values::Name => "name".to_owned(),
         Values::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", "),
     }
 }
@@ -182,15 +183,24 @@ pub fn value(value: &ParameterValue) -> String {
 
 /// The page on diagnostics and parameters.
 pub fn diagnostics() -> String {
-    let source = Source::of(&["crates/node/src/surrogate/counters.rs"]);
-    let docs = |name: &str| {
-        let member = source.item("Counters").members.iter().find(|member| member.name == name);
-        member.unwrap_or_else(|| panic!("{name} is no field of Counters")).docs.clone()
+    let source = Source::of(&[
+        "crates/node/src/surrogate/counters.rs",
+        "crates/node/src/surrogate/group/standing.rs",
+    ]);
+    let field = |item: &str, name: &str| {
+        let member = source.item(item).members.iter().find(|member| member.name == name);
+        member.unwrap_or_else(|| panic!("{name} is no field of {item}")).docs.clone()
     };
+    let docs = |name: &str| field("Counters", name);
     let row =
         |key: &str, docs: String| Row { key: key.to_owned(), values: "count".to_owned(), docs };
     let counters = Counters::default();
     let counted = counters.named().map(|(name, _)| row(name, docs(name)));
+    let group = ["members", "owned_streams", "foreign_streams"].map(|name| {
+        let key = format!("group, {}", name.replace('_', " "));
+        row(&key, field("GroupCounts", name) + " Present only with a group.")
+    });
+    let rows = |rows: &[Row]| table(rows).split_once("|---|---|---|\n").unwrap().1.to_owned();
     let mut text = format!(
         "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
          ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, \
@@ -199,9 +209,10 @@ pub fn diagnostics() -> String {
          | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\
          | `latency p99 (ms)` | number | 99th percentile of the same time. |\n\
          | `model` | text | Digest of the checkpoint. |\n{}\
-         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n",
-        table(&counted).split_once("|---|---|---|\n").unwrap().1,
+         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n{}",
+        rows(&counted),
         docs("dropped_by_stream"),
+        rows(&group),
     );
     text.push_str("\n## Parameters\n\nEach is also a key of `[node]` in a settings file.\n\n| parameter | values | default | |\n|---|---|---|---|\n");
     let defaults = NodeSettings::default();

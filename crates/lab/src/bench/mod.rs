@@ -6,11 +6,13 @@
 //! 4. [`bag`]: write and read rates of bags, message loss of a live recording.
 //! 5. [`transport`]: latency from publisher to subscriber.
 //! 6. [`node`]: overhead of a node over its model, and number of streams.
-//! 7. [`replay`]: delay of replayed messages.
-//! 8. [`view`]: overhead of the live page.
-//! 9. [`limit`]: peak rates of processor and memory.
+//! 7. [`group`]: nodes that share streams.
+//! 8. [`replay`]: delay of replayed messages.
+//! 9. [`view`]: overhead of the live page.
+//! 10. [`limit`]: peak rates of processor and memory.
 
 pub mod bag;
+pub mod group;
 pub mod inference;
 pub mod limit;
 pub mod node;

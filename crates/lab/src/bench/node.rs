@@ -114,7 +114,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     let diagnostics = Some(publisher("diagnostics", DiagnosticArray::TYPE)?);
     let mut outputs = [Outputs { diagnostics, ..Outputs::new(prediction, status) }];
     let (name, time) = ("/eddy_bench_node".to_owned(), RosTime::system());
-    let mut context = NodeContext { name, input: link("particles"), time };
+    let mut context = NodeContext { name, input: link("particles"), time, group: None };
     let mut predictions = here.subscriber(&link("prediction"), ParticleFrame::TYPE)?;
     let mut diagnostics = here.subscriber(&link("diagnostics"), DiagnosticArray::TYPE)?;
     let mut source = here.publisher(&link("particles"), ParticleFrame::TYPE, Reliability::Drop)?;

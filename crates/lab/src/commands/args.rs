@@ -39,6 +39,8 @@ pub enum BenchCommand {
     Transport(BenchTransportArgs),
     /// Run a node on shared memory: measure its overhead over the model, and its latency with several streams.
     Node(BenchNodeArgs),
+    /// Run nodes that share streams through a zenoh router on this machine: measure losses, latency and use of the processor.
+    Group(BenchGroupArgs),
     /// Measure the delay of replayed frames, compared with a loop that only sleeps until each is due.
     Replay(BenchReplayArgs),
     /// Measure the live page's overhead and the frame rate that a browser receives.
@@ -93,6 +95,32 @@ pub struct BenchNodeArgs {
     /// Threads of the engine [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Print JSON instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy bench group`
+#[derive(Debug, Args)]
+pub struct BenchGroupArgs {
+    /// Number of nodes, each a process.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub nodes: usize,
+    /// Number of streams that the nodes share.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub streams: u64,
+    /// Particles per stream.
+    #[arg(long, value_name = "N", default_value_t = 500)]
+    pub particles: usize,
+    /// Frame rate per stream (Hz); the frames of the streams are evenly spaced.
+    #[arg(long, value_name = "HZ", default_value_t = 1.0)]
+    pub hertz: f64,
+    /// Approximate duration (s), after the warm-up.
+    #[arg(long, default_value_t = 20.0)]
+    pub seconds: f64,
+    /// Kill a node after half of the time.
+    #[arg(long)]
+    pub kill: bool,
     /// Print JSON instead of tables.
     #[arg(long)]
     pub json: bool,

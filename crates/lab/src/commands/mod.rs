@@ -2,6 +2,7 @@
 
 mod args;
 mod bag;
+mod group;
 mod inference;
 mod node;
 mod output;
@@ -33,6 +34,7 @@ pub fn bench(args: BenchArgs, progress: &dyn Progress) -> anyhow::Result<()> {
         BenchCommand::Bag(args) => bag::run(args, html, progress),
         BenchCommand::Transport(args) => transport::run(args, html, progress),
         BenchCommand::Node(args) => node::run(args, html, progress),
+        BenchCommand::Group(args) => group::run(args, html, progress),
         BenchCommand::Replay(args) => replay::run(args, html, progress),
         BenchCommand::View(args) => view::run(args, html, progress),
     }

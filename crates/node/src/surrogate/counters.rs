@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::GroupCounts;
 use eddy_frames::InvalidFrame;
 use eddy_inference::engine::ModelError;
 use eddy_messages::BadFrame;
@@ -69,6 +70,14 @@ pub struct Counters {
     pub diverged: u64,
     /// Predictions that could not be sent on an output, or not to all of its subscribers.
     pub unpublished: u64,
+    /// Frames of streams that another member of the group owns.
+    pub foreign: u64,
+    /// Predictions that were not published because another member of the group may own their stream.
+    pub withheld: u64,
+    /// Streams that moved to another member of the group.
+    pub handed_over: u64,
+    /// Members and streams of the group; `None` without one.
+    pub group: Option<GroupCounts>,
 }
 
 impl Counters {
@@ -92,7 +101,7 @@ impl Counters {
     }
 
     /// Every counter with its name, in the order of the fields.
-    pub fn named(&self) -> [(&'static str, u64); 20] {
+    pub fn named(&self) -> [(&'static str, u64); 23] {
         [
             ("received", self.received),
             ("published", self.published),
@@ -114,6 +123,9 @@ impl Counters {
             ("lost_in_transport", self.lost_in_transport),
             ("diverged", self.diverged),
             ("unpublished", self.unpublished),
+            ("foreign", self.foreign),
+            ("withheld", self.withheld),
+            ("handed_over", self.handed_over),
         ]
     }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 
-use super::Counters;
+use super::{Counters, GroupCounts};
 use eddy_frames::Stamp;
 use eddy_messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 
@@ -107,6 +107,7 @@ impl Monitor {
         ];
         values.extend(counters.named().map(|(key, count)| value(key, count.to_string())));
         values.extend(losses(counters));
+        values.extend(group(counters).into_iter().flatten());
         *self = Self { last: counters.clone(), ..Self::start(now) };
         let status = DiagnosticStatus {
             level: level as u8,
@@ -152,6 +153,16 @@ fn losses(counters: &Counters) -> Option<KeyValue> {
     (!losses.is_empty()).then(|| value("dropped_from_queue, by stream", named))
 }
 
+/// Members and streams of the group.
+fn group(counters: &Counters) -> Option<[KeyValue; 3]> {
+    let GroupCounts { members, owned_streams, foreign_streams } = counters.group?;
+    Some([
+        value("group, members", members.to_string()),
+        value("group, owned streams", owned_streams.to_string()),
+        value("group, foreign streams", foreign_streams.to_string()),
+    ])
+}
+
 fn value(key: &str, value: impl Into<String>) -> KeyValue {
     KeyValue { key: key.to_owned(), value: value.into() }
 }
@@ -192,6 +203,17 @@ mod tests {
         let named = report(&mut Monitor::start(Duration::ZERO), 1, &counters).values.pop().unwrap();
         assert_eq!(named.key, "dropped_from_queue, by stream");
         assert_eq!(named.value, "19: 19, 18: 18, 17: 17, 16: 16, 15: 15, 14: 14, 13: 13, 12: 12");
+    }
+
+    #[test]
+    fn members_and_streams_of_a_group_are_reported() {
+        let group = Some(GroupCounts { members: 3, owned_streams: 33, foreign_streams: 67 });
+        let counters = Counters { group, ..Counters::default() };
+        let status = report(&mut Monitor::start(Duration::ZERO), 1, &counters);
+        let values = status.values.iter().filter(|value| value.key.starts_with("group, "));
+        let found: Vec<_> = values.map(|value| value.value.as_str()).collect();
+        assert_eq!(found, ["3", "33", "67"]);
+        assert_eq!(status.level, Level::Ok as u8);
     }
 
     #[test]

@@ -4,14 +4,18 @@
 
 use std::{
     collections::BTreeMap,
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
     thread,
     time::Duration,
 };
 
 use super::{
-    Arrival, CloudTopic, Counters, FrameQueue, InvalidSettings, LifecycleTransition, NodeHandle,
-    Observer, Prediction, Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
+    Arrival, CloudTopic, Counters, FrameQueue, GroupMember, InvalidSettings, LifecycleTransition,
+    NodeHandle, Observer, Prediction, Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
+    group::Epoch,
 };
 use eddy_frames::clock::{self, Clock};
 use eddy_inference::engine::ModelError;
@@ -94,6 +98,8 @@ pub struct NodeContext {
     pub input: Link,
     /// Time of free runs and of the node's own stamps.
     pub time: RosTime,
+    /// Its place in its group, if it has one.
+    pub group: Option<Arc<GroupMember>>,
 }
 
 /// Receives, predicts and publishes until `stop` is raised, then up to a second more for messages that had already
@@ -114,8 +120,10 @@ pub fn drive(
     let clock = Clock::start();
     context.time.use_simulated(node.settings().use_sim_time)?;
     let lost = AtomicU64::new(0);
+    let group = context.group.clone();
+    let group = group.as_deref();
     thread::scope(|scope| -> Result<(), DriveError> {
-        let receiver = scope.spawn(|| receive(input, queue, &clock, stop, &lost));
+        let receiver = scope.spawn(|| receive(input, queue, group, &clock, stop, &lost));
         // Whatever ends the loop, even a panic, must not leave the receiver waiting for a free slot.
         let _close = CloseOnDrop(queue, handle);
         let monitor = Monitor::start(clock.now());
@@ -133,6 +141,8 @@ pub fn drive(
             bytes,
             published,
             unpublished,
+            group,
+            withheld: 0,
             failures,
         };
         let batch = Vec::with_capacity(node.batch_size());
@@ -142,6 +152,7 @@ pub fn drive(
             time,
             queue,
             lost: &lost,
+            epoch: Epoch::default(),
             batch,
             output,
             warnings: Warnings::default(),
@@ -187,11 +198,12 @@ impl Drop for CloseOnDrop<'_> {
     }
 }
 
-/// Fills the queue until `stop` is raised, then with messages that had already arrived. Keeps `lost` at the number of
-/// messages dropped by the transport.
+/// Fills the queue with messages of the streams that the node observes until `stop` is raised, then with those that had
+/// already arrived. Keeps `lost` at the number of messages dropped by the transport.
 fn receive(
     input: &mut dyn Subscriber,
     queue: &FrameQueue,
+    group: Option<&GroupMember>,
     clock: &Clock,
     stop: &AtomicBool,
     lost: &AtomicU64,
@@ -203,11 +215,11 @@ fn receive(
         }
         let timeout = if end.is_some() { Duration::ZERO } else { MAX_WAIT };
         match input.receive(timeout)? {
-            Some(payload) => {
+            Some(payload) if group.is_none_or(|group| group.accepts(payload.stream())) => {
                 queue.push(clock.now(), payload);
             }
             None if end.is_some() => break,
-            None => {}
+            Some(_) | None => {}
         }
         lost.store(input.refused(), Ordering::Relaxed);
     }
@@ -222,6 +234,8 @@ struct Running<'a> {
     time: Duration,
     queue: &'a FrameQueue,
     lost: &'a AtomicU64,
+    /// Of the group, when the streams were last compared with it.
+    epoch: Epoch,
     /// Messages of the current step; empty between steps.
     batch: Vec<Arrival>,
     output: Output<'a>,
@@ -307,6 +321,8 @@ struct Output<'a> {
     bytes: Vec<u8>,
     published: u64,
     unpublished: u64,
+    group: Option<&'a GroupMember>,
+    withheld: u64,
     failures: Failures,
 }
 
@@ -333,6 +349,7 @@ impl Running<'_> {
         let timeout = self.until_tick().min(MAX_WAIT);
         self.queue.pop_batch(timeout, self.node.batch_size(), &mut self.batch);
         let had_message = !self.batch.is_empty();
+        self.follow_group();
         let simulated = self.context.time.is_simulated().then(|| self.now());
         let Self { node, batch, output, busy, .. } = self;
         let started = output.clock.now();
@@ -360,6 +377,20 @@ impl Running<'_> {
             }
         });
         had_message
+    }
+
+    /// Forgets streams and waiting messages that another member of the group owns.
+    fn follow_group(&mut self) {
+        let Self { node, batch, output, epoch, .. } = self;
+        let Some(group) = output.group else { return };
+        group.set_active(node.is_active());
+        let last = std::mem::replace(epoch, group.epoch());
+        if epoch.left != last.left {
+            node.hand_over(|_| false);
+        } else if *epoch != last {
+            node.hand_over(|stream| group.observes(stream));
+        }
+        batch.retain(|(_, payload)| group.accepts(payload.stream()));
     }
 
     /// Time until the next frame of a free run.
@@ -430,6 +461,9 @@ impl Running<'_> {
 
     /// Waits until subscribers have what was published, reports for the last time and says what was lost.
     fn finish(&mut self) {
+        if let Some(group) = self.output.group {
+            group.leave();
+        }
         for output in self.output.outputs.iter_mut() {
             for publisher in output.prediction.iter_mut().chain([&mut output.status]) {
                 match publisher.flush() {
@@ -455,6 +489,9 @@ impl Running<'_> {
         let counters = node.counters_mut();
         counters.published = output.published;
         counters.unpublished = output.unpublished;
+        counters.withheld = output.withheld;
+        counters.foreign = output.group.map_or(0, GroupMember::foreign_frames);
+        counters.group = output.group.map(|group| group.counts(streams));
         counters.dropped_from_queue = queue.dropped();
         counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
@@ -494,6 +531,11 @@ impl Output<'_> {
 
     fn publish(&mut self, prediction: &Prediction<'_>, arrived: Duration) {
         let latency = self.clock.now() - arrived;
+        // Immediately before: the program may have been paused at any moment since the frame was received.
+        if self.group.is_some_and(|group| !group.may_publish(prediction.frame.stream, latency)) {
+            self.withheld += 1;
+            return;
+        }
         prediction.status(latency, &self.digest, &mut self.status);
         cdr::encode_into(&self.status, &mut self.bytes);
         for output in self.outputs.iter_mut() {

@@ -26,6 +26,11 @@ pub enum InvalidLinks {
     /// The node would predict from its own predictions.
     #[error("output: found {link}, which is the input, expected another topic")]
     Loop { link: Link },
+    /// The members of a group could not see each other.
+    #[error(
+        "group: found the input {link}, expected one on zenoh, whose liveliness tokens say who is alive"
+    )]
+    Group { link: Link },
     /// Nobody could manage the node.
     #[error(
         "--lifecycle: found links on shm only, expected one on zenoh or dds, whose services manage the node"
@@ -52,12 +57,15 @@ impl NodeLinks {
         Self { input: ros.link(&self.input), outputs: outputs.collect() }
     }
 
-    /// Checks renamed links, of a managed node or one that is always active.
+    /// Checks renamed links, of a managed node or one that is always active, in a group or on its own.
     ///
     /// # Errors
     /// [`InvalidLinks`].
-    pub fn check(&self, is_managed: bool) -> Result<(), InvalidLinks> {
+    pub fn check(&self, is_managed: bool, is_in_group: bool) -> Result<(), InvalidLinks> {
         self.all().try_for_each(Link::leaves_the_process)?;
+        if is_in_group && self.input.transport != TransportKind::Zenoh {
+            return Err(InvalidLinks::Group { link: self.input.clone() });
+        }
         if is_managed && !self.all().any(|link| link.transport.is_of_ros()) {
             return Err(InvalidLinks::Unmanageable);
         }
@@ -103,7 +111,7 @@ mod tests {
         let links = NodeLinks { input: link(input), outputs };
         let words = ["-r", "__ns:=/robot1"].map(str::to_owned);
         let ros = RosArguments::parse(&words).unwrap().node("eddy_node");
-        links.renamed(&ros).check(false).map_err(|error| error.to_string())
+        links.renamed(&ros).check(false, false).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -126,6 +134,20 @@ mod tests {
             let message = check(input, outputs).unwrap_err();
             assert!(message.starts_with(expected), "{message}");
         }
+    }
+
+    #[test]
+    fn a_group_needs_an_input_on_zenoh() {
+        let check = |input| {
+            let links = NodeLinks { input: link(input), outputs: vec![link("shm:/b")] };
+            links.check(false, true).map_err(|error| error.to_string())
+        };
+        assert_eq!(check("zenoh:/a"), Ok(()));
+        let message = check("dds:/a").unwrap_err();
+        assert!(
+            message.starts_with("group: found the input dds:/a, expected one on zenoh"),
+            "{message}"
+        );
     }
 
     #[test]

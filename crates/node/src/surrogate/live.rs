@@ -1,13 +1,17 @@
 //! A node with its topics and services open.
 
-use std::sync::{Arc, atomic::AtomicBool};
+use std::{
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
+};
 
 use eddy_messages::{Clock, Message, ParticleFrame, QosProfile, type_support};
 use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::{
-    DriveError, FrameQueue, NodeContext, NodeHandle, NodeLinks, Outputs, RosTime, SurrogateNode,
-    drive, lifecycle_services, node_services, publishers::Publishers,
+    DriveError, FrameQueue, GroupMember, NodeContext, NodeHandle, NodeLinks, NodeSettings, Outputs,
+    RosTime, SurrogateNode, drive, lifecycle_services, node_services, publishers::Publishers,
 };
 use crate::{
     ros::{RosNode, TopicQos},
@@ -27,10 +31,17 @@ pub enum OpenError {
     /// An output cannot be opened.
     #[error("cannot publish")]
     Outputs(#[source] TransportError),
+    /// The node cannot take part in its group.
+    #[error("cannot take part in the group")]
+    Group(#[source] TransportError),
     /// The services cannot be offered.
     #[error("cannot offer services")]
     Services(#[source] TransportError),
 }
+
+/// Lease of a member of a group, unless the configuration of zenoh has another: streams of a member that is cut off from
+/// the network are predicted elsewhere within a second. Four signs of life each, so that a busy processor does not end it.
+const GROUP_LEASE: Duration = Duration::from_millis(800);
 
 /// A node with its topics and services open.
 pub struct LiveNode {
@@ -62,7 +73,11 @@ impl LiveNode {
         stop: Arc<AtomicBool>,
     ) -> Result<Self, OpenError> {
         node.stop_with(Arc::clone(&stop));
-        let options = ros.transport_options().map_err(OpenError::Environment)?;
+        let mut options = ros.transport_options().map_err(OpenError::Environment)?;
+        let group = node.settings().group.clone();
+        if !group.is_empty() {
+            options.zenoh.lease = GROUP_LEASE;
+        }
         let transports = Transports::stopped_by(Arc::clone(&stop), options);
         let renamed = links.renamed(ros);
         let input = renamed.input.clone();
@@ -79,6 +94,13 @@ impl LiveNode {
         for topic in publishers.qos.unused() {
             tracing::warn!("qos_overrides.{topic}: this node has no such topic on this side");
         }
+        // After the outputs, so that a member can publish.
+        let group = (!group.is_empty()).then(|| {
+            transports
+                .membership(&input, &group, &label(&node, &renamed))
+                .map(|membership| Arc::new(GroupMember::start(&group, membership)))
+        });
+        let group = group.transpose().map_err(OpenError::Group)?;
         let handle = Arc::default();
         let services = || {
             let mut services = node_services(&ros.full_name(), &handle);
@@ -92,7 +114,7 @@ impl LiveNode {
             _services: services,
             outputs,
             subscriber,
-            context: context(&transports, input, ros),
+            context: NodeContext { group, ..context(&transports, input, ros) },
             transports,
             queue: FrameQueue::new(node.settings().queue, reliability),
             handle,
@@ -130,7 +152,17 @@ impl LiveNode {
 fn context(transports: &Transports, input: Link, ros: &RosNode) -> NodeContext {
     let (transports, clock) = (transports.clone(), ros.link(&input.with_topic("/clock")));
     let open = move || transports.subscriber(&clock, Clock::TYPE);
-    NodeContext { name: ros.full_name(), input, time: RosTime::new(Box::new(open)) }
+    NodeContext { name: ros.full_name(), input, time: RosTime::new(Box::new(open)), group: None }
+}
+
+/// Differs between members of a group that start with different checkpoints, settings or outputs, so that the predictions
+/// of a stream change when it is handed over.
+fn label(node: &SurrogateNode, links: &NodeLinks) -> String {
+    let NodeSettings { horizon, publish, free_run, max_gap, .. } = node.settings();
+    let outputs: Vec<_> = links.outputs.iter().map(Link::to_string).collect();
+    let digest = node.surrogate().digest();
+    let all = format!("{digest} {horizon} {publish:?} {free_run:?} {max_gap} {outputs:?}");
+    format!("{:08x}", xxh3_64(all.as_bytes()) >> 32)
 }
 
 /// Offers services on every transport of the node's links that has services.

@@ -11,14 +11,16 @@
 //!    clouds. [`observer`]: the node's output within this process.
 //! 8. [`lifecycle`]: states of a managed node. [`handle`]: requests to a running node. `services`: the same as ROS
 //!    services.
-//! 9. [`time`]: system time or `/clock`.
-//! 10. [`driver`]: the loop that receives, predicts and publishes.
-//! 11. [`links`]: input and outputs. [`publishers`]: the topics that belong to them. [`live`]: a node with all of them open.
+//! 9. [`group`]: nodes that share streams.
+//! 10. [`time`]: system time or `/clock`.
+//! 11. [`driver`]: the loop that receives, predicts and publishes.
+//! 12. [`links`]: input and outputs. [`publishers`]: the topics that belong to them. [`live`]: a node with all of them open.
 
 mod cloud;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod group;
 mod handle;
 mod lifecycle;
 mod links;
@@ -42,6 +44,7 @@ mod tests;
 pub use cloud::CloudTopic;
 pub use counters::{Counters, Rejection};
 pub use driver::{DriveError, NodeContext, Outputs, drive};
+pub use group::{GroupCounts, GroupMember};
 pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
 pub use lifecycle::{LifecycleState, LifecycleTransition, TRANSITIONS};
 pub use links::{InvalidLinks, NodeLinks};

@@ -219,6 +219,13 @@ impl SurrogateNode {
         streams
     }
 
+    /// Forgets the streams that another member of the group owns.
+    pub(super) fn hand_over(&mut self, is_kept: impl Fn(u64) -> bool) {
+        let before = self.streams.len();
+        self.streams.retain(|&stream, _| is_kept(stream));
+        self.counters.handed_over += (before - self.streams.len()) as u64;
+    }
+
     /// Maximum number of frames that [`SurrogateNode::on_frames`] steps in parallel.
     pub fn batch_size(&self) -> usize {
         self.stepper.streams().min(MAX_BATCH)

@@ -10,8 +10,13 @@ use super::{NodeSettings, ParameterSpec, Values, parameter};
 use eddy_messages::services::{Parameter, ParameterValue};
 
 /// Options of a node that runs: parameter and option.
-const LIVE: &[(&str, &str)] =
-    &[("horizon", "horizon"), ("publish", "publish"), ("free_run", "free-run"), ("cloud", "cloud")];
+const LIVE: &[(&str, &str)] = &[
+    ("horizon", "horizon"),
+    ("publish", "publish"),
+    ("free_run", "free-run"),
+    ("cloud", "cloud"),
+    ("group", "group"),
+];
 /// Options of the node's code over a bag.
 const OFFLINE: &[(&str, &str)] = &[("horizon", "horizon"), ("publish", "publish")];
 
@@ -56,7 +61,9 @@ impl<const IS_LIVE: bool> FromArgMatches for SettingOptions<IS_LIVE> {
                 Values::Integer { .. } => {
                     matches.get_one(spec.name).copied().map(ParameterValue::integer)
                 }
-                Values::Word(_) => matches.get_one(spec.name).cloned().map(ParameterValue::string),
+                Values::Name | Values::Word(_) => {
+                    matches.get_one(spec.name).cloned().map(ParameterValue::string)
+                }
             };
             Some(Parameter { name: spec.name.to_owned(), value: value? })
         };
@@ -79,6 +86,7 @@ fn argument(spec: &ParameterSpec, option: &'static str) -> Arg {
             .value_parser(value_parser!(i64))
             .value_name("N")
             .help(format!("{} [default: {}]", spec.help, default.integer_value)),
+        Values::Name => argument.value_name("NAME").help(spec.help),
         Values::Word(words) => {
             let words = words.iter().map(|(word, help)| PossibleValue::new(*word).help(*help));
             argument
@@ -104,13 +112,15 @@ mod tests {
     fn options_set_what_they_name_and_nothing_else() {
         assert_eq!(given(&[]), []);
         let mut settings = NodeSettings::default();
-        let words = ["--horizon", "7", "--publish", "all", "--free-run", "9", "--cloud"];
+        let words =
+            ["--horizon", "7", "--publish", "all", "--free-run", "9", "--cloud", "--group", "a"];
         given(&words).iter().try_for_each(|parameter| settings.set(parameter)).unwrap();
         let expected = NodeSettings {
             horizon: 7,
             publish: Publish::All,
             free_run: Some(9),
             cloud: true,
+            group: "a".to_owned(),
             ..NodeSettings::default()
         };
         assert_eq!(settings, expected);

@@ -16,6 +16,8 @@ pub enum Values {
         /// What is counted, in the plural.
         unit: &'static str,
     },
+    /// A name of letters, digits and `_` that does not start with a digit, or nothing.
+    Name,
     /// One of these words, each with its meaning.
     Word(&'static [(&'static str, &'static str)]),
 }
@@ -26,17 +28,18 @@ impl Values {
         match self {
             Self::Bool => ParameterKind::Bool,
             Self::Integer { .. } => ParameterKind::Integer,
-            Self::Word(_) => ParameterKind::String,
+            Self::Name | Self::Word(_) => ParameterKind::String,
         }
     }
 
-    /// The words of [`Values::Word`], joined; nothing otherwise.
+    /// The values of a text in words; nothing otherwise.
     pub(super) fn words(&self) -> String {
         match self {
             Self::Word(words) => {
                 words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(" or ")
             }
-            _ => String::new(),
+            Self::Name => "a name of letters, digits and _, or nothing".to_owned(),
+            Self::Bool | Self::Integer { .. } => String::new(),
         }
     }
 }
@@ -87,6 +90,16 @@ impl Setting for usize {
 
     fn from_parameter(value: &ParameterValue) -> Self {
         value.integer_value as Self
+    }
+}
+
+impl Setting for String {
+    fn to_parameter(&self) -> ParameterValue {
+        ParameterValue::string(self.clone())
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        value.string_value.clone()
     }
 }
 

@@ -10,6 +10,7 @@ use eddy_messages::services::{
     IntegerRange, Parameter, ParameterDescriptor, ParameterKind, ParameterValue,
 };
 use eddy_settings::near;
+use eddy_transport::is_name_token;
 
 /// Which of the frames up to the horizon are published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -111,6 +112,8 @@ node_settings! {
         "Also publish observed and predicted frames as sensor_msgs/PointCloud2 on INPUT/cloud and OUTPUT/cloud";
     use_sim_time: bool = false, Values::Bool, CHANGEABLE,
         "Take the time of free runs and of the node's own stamps from /clock";
+    group: String = String::new(), Values::Name, READ_ONLY,
+        "Name of the group of nodes that share the streams of a zenoh input, each stream predicted by one of them";
 }
 
 /// A setting that cannot be used.
@@ -130,7 +133,7 @@ pub enum InvalidSettings {
     /// The value is out of range.
     #[error("{field}: found {found}, expected {} to {}", range.start(), range.end())]
     Range { field: &'static str, found: i64, range: RangeInclusive<i64> },
-    /// The value is none of the words of this parameter.
+    /// The value is no name, or none of the words of this parameter.
     #[error("{field}: found `{found}`, expected {expected}")]
     Word { field: &'static str, found: String, expected: String },
     /// `/clock` cannot be subscribed to.
@@ -170,6 +173,12 @@ impl ParameterSpec {
         match &self.values {
             Values::Integer { range, .. } if !range.contains(&found) => {
                 Err(InvalidSettings::Range { field, found, range: range.clone() })
+            }
+            Values::Name
+                if !value.string_value.is_empty() && !is_name_token(&value.string_value) =>
+            {
+                let (found, expected) = (value.string_value.clone(), self.values.words());
+                Err(InvalidSettings::Word { field, found, expected })
             }
             Values::Word(words) if words.iter().all(|(word, _)| *word != value.string_value) => {
                 let (found, expected) = (value.string_value.clone(), self.values.words());
@@ -266,6 +275,7 @@ mod tests {
             queue: 8,
             cloud: true,
             use_sim_time: true,
+            group: "robots".to_owned(),
         };
         let mut other = NodeSettings::default();
         for parameter in settings.parameters() {
@@ -295,6 +305,11 @@ mod tests {
                 "publish",
                 ParameterValue::string("first".into()),
                 "publish: found `first`, expected last or all",
+            ),
+            (
+                "group",
+                ParameterValue::string("a/b".into()),
+                "group: found `a/b`, expected a name of letters, digits and _, or nothing",
             ),
             ("cloud", ParameterValue::integer(1), "cloud: found an integer, expected a bool"),
             ("max_gap", ParameterValue::integer(-1), "max_gap: found -1, expected 0 to 1000"),

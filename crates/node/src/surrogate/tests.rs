@@ -215,8 +215,12 @@ fn a_flooding_stream_does_not_affect_the_others() {
         publisher(&output, ParticleFrame::TYPE),
         publisher(&status, PredictionStatus::TYPE),
     )];
-    let mut context =
-        NodeContext { name: "/node".into(), input: input.clone(), time: RosTime::system() };
+    let mut context = NodeContext {
+        name: "/node".into(),
+        input: input.clone(),
+        time: RosTime::system(),
+        group: None,
+    };
     let mut node = node(NodeSettings::default());
     let queue = FrameQueue::new(40, Reliability::Drop);
     let (stop, handle) = (AtomicBool::new(false), NodeHandle::default());
@@ -372,6 +376,20 @@ fn the_least_recently_used_stream_is_evicted() {
     assert_eq!((node.streams(), node.counters().evicted_streams), (2, 1));
     // Stream 1 was used after stream 2: it is still there, and its third frame ends its warm-up.
     assert_eq!(feed(&mut node, frame(1, 2)).len(), 1);
+}
+
+#[test]
+fn a_stream_that_another_member_owns_is_forgotten_and_warms_up_when_it_comes_back() {
+    let mut node = node(NodeSettings::default());
+    for sequence in 0..WARM_UP {
+        for stream in [1, 2] {
+            feed(&mut node, frame(stream, sequence));
+        }
+    }
+    node.hand_over(|stream| stream == 1);
+    assert_eq!((node.streams(), node.counters().handed_over), (1, 1));
+    assert_eq!(feed(&mut node, frame(1, WARM_UP)).len(), 1);
+    assert_eq!(feed(&mut node, frame(2, WARM_UP)).len(), 0);
 }
 
 #[test]

@@ -12,6 +12,7 @@ use std::{
 use axum::body::Bytes;
 
 use super::{comparison::PredictionInfo, curves::Curves, mailbox::Mailbox};
+use crate::GroupCounts;
 use eddy_frames::{Frame, FrameView, clock::Clock};
 use eddy_transport::Queue;
 
@@ -44,6 +45,8 @@ pub struct NodeStatus {
     pub streams: usize,
     /// Frames lost before the model saw them.
     pub lost: u64,
+    /// Members and streams of its group, if it has one.
+    pub group: Option<GroupCounts>,
     /// All counters by name.
     pub counters: Vec<(&'static str, u64)>,
 }

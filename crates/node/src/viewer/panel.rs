@@ -90,6 +90,7 @@ impl Observer for HubObserver {
             latency: [rates.latency_p50, rates.latency_p99],
             streams,
             lost: counters.frames_lost(),
+            group: counters.group,
             counters: counters.named().to_vec(),
         });
     }

@@ -4,6 +4,7 @@
 use std::fmt::{Display, Write as _};
 
 use super::{Hub, NodeStatus, PageInfo};
+use crate::GroupCounts;
 
 /// The content type of the format.
 pub(super) const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
@@ -53,6 +54,20 @@ fn node(text: &mut Text, status: &NodeStatus) {
     text.sample("eddy_streams", &[], status.streams);
     text.metric("eddy_frames_lost_total", "counter", "Frames lost before the model saw them.");
     text.sample("eddy_frames_lost_total", &[], status.lost);
+    if let Some(GroupCounts { members, owned_streams, foreign_streams }) = status.group {
+        for (name, help, value) in [
+            ("eddy_group_members", "Members of the node's group.", members),
+            ("eddy_group_owned_streams", "Streams that the node predicts.", owned_streams),
+            (
+                "eddy_group_foreign_streams",
+                "Streams of other members in the last second.",
+                foreign_streams,
+            ),
+        ] {
+            text.metric(name, "gauge", help);
+            text.sample(name, &[], value);
+        }
+    }
     for &(name, count) in &status.counters {
         let metric = format!("eddy_{name}_total");
         text.metric(&metric, "counter", &format!("{name} of the node's diagnostics."));
@@ -95,6 +110,7 @@ mod tests {
             latency: [Duration::from_micros(700), Duration::from_millis(2)],
             streams: 3,
             lost: 4,
+            group: Some(GroupCounts { members: 3, owned_streams: 33, foreign_streams: 67 }),
             counters: vec![("received", 5), ("too_fast", 6)],
         });
         let text = render(&hub, &info);
@@ -107,6 +123,9 @@ mod tests {
             "eddy_latency_seconds{quantile=\"0.99\"} 0.002",
             "eddy_streams 3",
             "eddy_frames_lost_total 4",
+            "eddy_group_members 3",
+            "eddy_group_owned_streams 33",
+            "eddy_group_foreign_streams 67",
         ] {
             assert!(text.lines().any(|found| found == line), "{line} is missing in\n{text}");
         }

@@ -34,7 +34,7 @@ pub(crate) fn pair(
     frame: &Frame,
 ) -> Result<BarePair, TransportError> {
     let key = format!("bare{}", link.topic);
-    let (there, here) = (config::open(link, options)?, config::open(link, options)?);
+    let [(there, _), (here, _)] = [config::open(link, options)?, config::open(link, options)?];
     let subscriber = there
         .declare_subscriber(key.clone())
         .wait()

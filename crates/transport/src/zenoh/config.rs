@@ -10,23 +10,34 @@
 //! `ZENOH_SESSION_CONFIG_URI` replaces all of this. `ZENOH_CONFIG_OVERRIDE` replaces single keys; with the keys `mode`,
 //! `listen` or `connect` the port range is not used.
 
-use std::net::{Ipv4Addr, TcpListener};
+use std::{
+    net::{Ipv4Addr, TcpListener},
+    time::Duration,
+};
 
 use serde_json::json;
 use zenoh::{Config, Session, Wait};
 
 use super::middleware;
-use crate::{Link, TransportError, TransportOptions, ZenohOptions};
+use crate::{Lease, Link, TransportError, TransportOptions, ZenohOptions};
 
 const FILE_VARIABLE: &str = "ZENOH_SESSION_CONFIG_URI";
 const OVERRIDE_VARIABLE: &str = "ZENOH_CONFIG_OVERRIDE";
 /// Keys whose override disables the port range.
 const DISCOVERY_KEYS: [&str; 3] = ["mode", "listen", "connect"];
+/// The settings of the lease.
+const LEASE: &str = "transport/link/tx/lease";
+const KEEP_ALIVE: &str = "transport/link/tx/keep_alive";
+/// Signs of life within a lease of rmw_zenoh (60 s), and within a shorter one: a single late one must not end it.
+const KEEP_ALIVES: [u64; 2] = [2, 4];
 /// Retry intervals for the ports of the range (ms).
 const RETRY: &str = "retry_period_init_ms=100;retry_period_max_ms=500";
 
-/// The session of this process.
-pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Session, TransportError> {
+/// The session of this process, and its lease.
+pub(super) fn open(
+    link: &Link,
+    options: &TransportOptions,
+) -> Result<(Session, Lease), TransportError> {
     let zenoh = &options.zenoh;
     let overrides = overrides(&zenoh.overrides)?;
     let overridden =
@@ -50,7 +61,7 @@ pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Session, T
             .and_then(|()| insert(&mut config, "connect/endpoints", &json!(connect)))
             .map_err(|error| middleware(link, "configure", &error))?;
         match open_with(link, config, &overrides) {
-            Ok(session) => return Ok(session),
+            Ok(opened) => return Ok(opened),
             // The port was taken in the meantime.
             Err(error) => failed = Some(error),
         }
@@ -62,7 +73,7 @@ fn open_with(
     link: &Link,
     mut config: Config,
     overrides: &[(&str, &str)],
-) -> Result<Session, TransportError> {
+) -> Result<(Session, Lease), TransportError> {
     for (key, value) in overrides {
         config.insert_json5(key, value).map_err(|error| TransportError::Environment {
             variable: OVERRIDE_VARIABLE,
@@ -70,7 +81,17 @@ fn open_with(
             expected: format!("a zenoh setting and its JSON5 value: {error}"),
         })?;
     }
-    zenoh::open(config).wait().map_err(|error| middleware(link, "open the zenoh session", &error))
+    let lease = lease(&config).map_err(|error| middleware(link, "configure", &error))?;
+    let session = zenoh::open(config).wait();
+    Ok((session.map_err(|error| middleware(link, "open the zenoh session", &error))?, lease))
+}
+
+/// The lease in the settings.
+fn lease(config: &Config) -> zenoh::Result<Lease> {
+    let number = |key| Ok::<u64, zenoh::Error>(config.get_json(key)?.parse()?);
+    let duration = Duration::from_millis(number(LEASE)?);
+    let keep_alives = u32::try_from(number(KEEP_ALIVE)?)?;
+    Ok(Lease { duration, keep_alive: duration / keep_alives.max(1) })
 }
 
 /// The pairs in `key=value;key=value`.
@@ -90,6 +111,8 @@ fn overrides(text: &str) -> Result<Vec<(&str, &str)>, TransportError> {
 /// The settings of rmw_zenoh that differ from zenoh's own.
 fn rmw_defaults(options: &TransportOptions) -> zenoh::Result<Config> {
     let patience = u64::try_from(options.patience.as_micros()).unwrap_or(u64::MAX);
+    let is_shortened = options.zenoh.lease < ZenohOptions::default().lease;
+    let lease = u64::try_from(options.zenoh.lease.as_millis()).unwrap_or(u64::MAX);
     let settings = [
         ("mode", json!("peer")),
         ("connect/endpoints", json!([options.zenoh.router])),
@@ -104,8 +127,8 @@ fn rmw_defaults(options: &TransportOptions) -> zenoh::Result<Config> {
         ("scouting/delay", json!(250)),
         ("timestamping/enabled", json!(true)),
         // Lost processes are detected by their closed connection; the lease must not expire for busy ones.
-        ("transport/link/tx/lease", json!(60_000)),
-        ("transport/link/tx/keep_alive", json!(2)),
+        (LEASE, json!(lease)),
+        (KEEP_ALIVE, json!(KEEP_ALIVES[usize::from(is_shortened)])),
         ("transport/link/tx/queue/congestion_control/block/wait_before_close", json!(patience)),
     ];
     let mut config = Config::default();

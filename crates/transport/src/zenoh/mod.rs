@@ -7,7 +7,8 @@
 //! 5. [`publisher`], [`subscriber`]: messages; [`sender`]: how a publisher is never stuck in Zenoh.
 //! 6. [`transient_local`]: messages kept for late-joining subscribers.
 //! 7. [`service`]: requests and responses; [`client`]: the other side.
-//! 8. [`bare`]: Zenoh used directly, for benchmarks.
+//! 8. [`membership`]: groups of processes that share work.
+//! 9. [`bare`]: Zenoh used directly, for benchmarks.
 //!
 //! Why the `zenoh` crate and not `hiroz` 0.2.1, which has the same wire format: hiroz derives the GID of an endpoint from
 //! a truncated SHA-256 of session and entity numbers (`src/entity.rs`, `endpoint_gid`), rmw_zenoh from XXH3-128 of the
@@ -23,6 +24,7 @@ mod client;
 mod config;
 mod graph;
 pub(super) mod keys;
+mod membership;
 mod publisher;
 mod sender;
 mod service;
@@ -41,13 +43,14 @@ use std::{
 use zenoh::{Session, Wait as _, liveliness::LivelinessToken};
 
 use super::{
-    Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
-    TransportError, TransportOptions,
+    Handler, Lease, Link, Membership, Publisher, Reliability, SeenService, SeenTopic, Served,
+    Subscriber, TransportError, TransportOptions,
     middleware::{Middleware, error as middleware},
     patience::Patience,
 };
 use eddy_messages::{QosProfile, TypeSupport, qos::DurabilityPolicy, service_hash};
 use keys::{Endpoint, Node, Side};
+use membership::ZenohMembership;
 use publisher::ZenohPublisher;
 use service::ZenohService;
 use subscriber::ZenohSubscriber;
@@ -56,6 +59,7 @@ use subscriber::ZenohSubscriber;
 pub(super) struct ZenohNode {
     session: Session,
     node: Node,
+    lease: Lease,
     patience: Patience,
     /// Id of the next endpoint; the node has id 0.
     next_id: AtomicUsize,
@@ -68,13 +72,13 @@ impl ZenohNode {
         options: &TransportOptions,
         patience: Patience,
     ) -> Result<Self, TransportError> {
-        let session = config::open(link, options)?;
+        let (session, lease) = config::open(link, options)?;
         let (namespace, name) = (options.namespace.clone(), options.node_name.clone());
         let node = Node { domain_id: options.domain_id, zid: session.zid(), namespace, name };
         let token = graph::declare(&session, &node.token())
             .map_err(|error| middleware(link, "declare the node", &error))?;
         let next_id = AtomicUsize::new(1);
-        Ok(Self { session, node, patience, next_id, _token: token })
+        Ok(Self { session, node, lease, patience, next_id, _token: token })
     }
 
     fn id(&self) -> usize {
@@ -156,6 +160,15 @@ impl Middleware for ZenohNode {
     fn services(&self, link: &Link) -> Result<Vec<SeenService>, TransportError> {
         graph::services(&self.session, self.node.domain_id)
             .map_err(|error| middleware(link, "list the services", &error))
+    }
+
+    fn membership(
+        self: Arc<Self>,
+        link: &Link,
+        group: &str,
+        label: &str,
+    ) -> Result<Box<dyn Membership>, TransportError> {
+        Ok(Box::new(ZenohMembership::open(&self, link, group, label)?))
     }
 
     fn service(

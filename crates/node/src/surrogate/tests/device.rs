@@ -203,7 +203,8 @@ fn a_node_ends_with_the_error_of_its_device() {
         publisher(&output, ParticleFrame::TYPE),
         publisher(&status, PredictionStatus::TYPE),
     )];
-    let mut context = NodeContext { name: "/node".into(), input, time: RosTime::system() };
+    let mut context =
+        NodeContext { name: "/node".into(), input, time: RosTime::system(), group: None };
     let queue = FrameQueue::new(40, Reliability::Drop);
     (0..4).for_each(|sequence| source.publish_frame(&frame(1, sequence)).unwrap());
     let outcome = thread::scope(|scope| {
