@@ -93,7 +93,7 @@ pub const NOT_HERE: &[(&str, &str)] = &[
     ("cargo install --locked --path .", "already built"),
     ("cargo build --release -p eddy-cuda-emulator --examples", "recompiles dependencies"),
     (
-        "tests/gpu/run target/release/examples/frame_training target/release/examples/frame_inference target/release/examples/particle_inference target/release/examples/solver",
+        "tests/gpu/run target/release/examples/{frame_training,frame_inference,particle_training,particle_inference,solver}",
         "needs an NVIDIA GPU and PyTorch",
     ),
     (
