@@ -1,7 +1,14 @@
 //! Compiles the kernels of every core's network for some compute capabilities, without a GPU:
 //! `compile_kernels FOLDER 80 90` writes `NAME.CAPABILITY.ptx`, `NAME.CAPABILITY.cubin`.
 
-use std::{error::Error, fs, path::PathBuf};
+use std::{
+    error::Error,
+    fs,
+    num::NonZeroUsize,
+    path::PathBuf,
+    sync::atomic::{AtomicUsize, Ordering},
+    thread,
+};
 
 use eddy_cuda::{
     dense,
@@ -65,17 +72,39 @@ fn main() -> Result<(), Box<dyn Error>> {
         let constants = dense::Constants { width: 200, activation };
         (format!("dense-{}", activation.name()), Box::new(constants) as Box<dyn Program>)
     });
-    for (name, program) in frame.chain(particle).chain(learning).chain([solver]).chain(dense) {
-        for &capability in &capabilities {
-            for (target, extension) in
-                [(Target::Ptx(capability), "ptx"), (Target::Machine(capability), "cubin")]
-            {
-                let image = compile(program.source(), &program.definitions(), target)?;
-                let file = folder.join(format!("{name}.{capability}.{extension}"));
-                println!("{}: {} bytes", file.display(), image.len());
-                fs::write(file, image)?;
-            }
+    let programs = frame.chain(particle).chain(learning).chain([solver]).chain(dense);
+    let programs: Vec<_> =
+        programs.map(|(name, program)| (name, program.source(), program.definitions())).collect();
+    let targets: Vec<_> = capabilities
+        .iter()
+        .flat_map(|&number| [Target::Ptx(number), Target::Machine(number)])
+        .collect();
+    let all: Vec<_> = programs
+        .iter()
+        .flat_map(|program| targets.iter().map(move |&target| (program, target)))
+        .collect();
+    let next = AtomicUsize::new(0);
+    let work = || -> Result<(), String> {
+        while let Some(&((name, source, definitions), target)) =
+            all.get(next.fetch_add(1, Ordering::Relaxed))
+        {
+            let image = compile(source, definitions, target).map_err(|error| error.to_string())?;
+            let (capability, extension) = match target {
+                Target::Ptx(number) => (number, "ptx"),
+                Target::Machine(number) => (number, "cubin"),
+            };
+            let file = folder.join(format!("{name}.{capability}.{extension}"));
+            println!("{}: {} bytes", file.display(), image.len());
+            fs::write(file, image).map_err(|error| error.to_string())?;
         }
-    }
+        Ok(())
+    };
+    thread::scope(|scope| {
+        let count = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        let threads: Vec<_> = (0..count).map(|_| scope.spawn(work)).collect();
+        threads
+            .into_iter()
+            .try_for_each(|thread| thread.join().map_err(|_| "a thread has panicked".to_owned())?)
+    })?;
     Ok(())
 }
