@@ -29,30 +29,85 @@ exec "{eddy}" "$@"
 """
 
 
-class Job:
-    """A plan of scenes in a temporary folder, and the same scenes simulated by one process."""
+# Notes on which node a task begins and ends, and which GPUs it may use.
+NOTING = """#!/bin/sh
+case "$*" in
+    "plan run "*)
+        echo "begin $(hostname) ${{CUDA_VISIBLE_DEVICES:-none}} $5" >>"{folder}/notes"
+        "{eddy}" "$@"
+        code=$?
+        echo "end $(hostname) ${{CUDA_VISIBLE_DEVICES:-none}} $5" >>"{folder}/notes"
+        exit $code
+        ;;
+esac
+exec "{eddy}" "$@"
+"""
+# A study of seconds.
+STUDY = """
+seeds = [1, 2]
+cores = ["mingru", "mlp"]
+step_frames = [2]
+[data]
+presets = ["fluid"]
+scenes = 4
+duration = 0.8
+[training]
+epochs = 1
+"""
 
-    def __init__(self, eddy, scenes, duration=4.0):
+
+class Job:
+    """The plan of a command in a temporary folder, and what the command makes in one process."""
+
+    def __init__(self, eddy, command, words, files=()):
         self.temporary = tempfile.TemporaryDirectory(prefix="eddy_plan_")
         self.folder = pathlib.Path(self.temporary.name)
         self.folder.chmod(0o755)
         self.eddy = pathlib.Path(eddy).resolve()
-        self.scenes = scenes
-        words = ["--preset", "kinds", "--scenes", str(scenes), "--seed", "1", "--duration", str(duration)]
-        self.call("simulate", *words, "--output", "alone")
+        for name, text in files:
+            (self.folder / name).write_text(text)
+        self.call(command, *words, "--output", "alone")
         self.expected = contents(self.folder / "alone")
         self.plan = self.folder / "plan.json"
-        self.call("plan", "simulate", str(self.plan), *words, "--output", "data")
+        self.call("plan", command, str(self.plan), *words, "--output", "data")
+
+    @classmethod
+    def scenes(cls, eddy, count, duration=4.0):
+        """Scenes to simulate."""
+        return cls(eddy, "simulate", ["--preset", "kinds", "--scenes", str(count), "--seed", "1", "--duration", str(duration)])
+
+    @classmethod
+    def study(cls, eddy):
+        """Scenes, four networks, their evaluation, times, a report."""
+        return cls(eddy, "study", ["cores", "--quick", "--config", "study.toml"], [("study.toml", STUDY)])
 
     def call(self, *words):
         subprocess.run([self.eddy, "--quiet", *words], cwd=self.folder, check=True, stdout=subprocess.DEVNULL)
 
-    def flaky(self):
-        """A program that fails twice in one task."""
-        file = self.folder / "flaky"
-        file.write_text(FLAKY.format(folder=self.folder, eddy=self.eddy))
+    def script(self, name, text):
+        file = self.folder / name
+        file.write_text(text.format(folder=self.folder, eddy=self.eddy))
         file.chmod(0o755)
         return file
+
+    def flaky(self):
+        """A program that fails twice in one task."""
+        return self.script("flaky", FLAKY)
+
+    def noting(self):
+        """A program that writes down where tasks begin and end: `notes`."""
+        return self.script("noting", NOTING)
+
+    def notes(self):
+        """(begin or end, node, its GPUs, task)."""
+        return [line.split() for line in (self.folder / "notes").read_text().splitlines()]
+
+    def need_gpus(self):
+        """Lets every scene need a GPU, as with `--device cuda`; the tasks run without."""
+        plan = json.loads(self.plan.read_text())
+        for task in plan["tasks"]:
+            task["cost"]["gpus"] = int("scenes" in task["work"])
+        self.plan.write_text(json.dumps(plan))
 
     def states(self):
         listed = subprocess.run([self.eddy, "plan", "list", str(self.plan), "--json"], check=True, capture_output=True, text=True)
@@ -65,7 +120,7 @@ class Job:
         return all(task["state"] == "done" for task in self.states())
 
     def check(self):
-        """All tasks are done, and the data are those of one process, byte for byte."""
+        """All tasks are done, and the results are those of one process, byte for byte."""
         states = {task["name"]: task["state"] for task in self.states() if task["state"] != "done"}
         assert not states, f"not done: {states}"
         found = contents(self.folder / "data")
@@ -86,8 +141,8 @@ class Job:
 
 
 def contents(folder):
-    """All files of a folder with their digests."""
-    files = (file for file in folder.rglob("*") if file.is_file())
+    """Bags, manifests, weights and their errors by epoch, with their digests; other files have times in them."""
+    files = [file for pattern in ["*.mcap", "manifest.json", "*.safetensors", "metrics.csv"] for file in folder.rglob(pattern)]
     return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
@@ -131,4 +186,4 @@ def summary(engine, killed, job, began):
         kind = what.split()[0]
         kinds[kind] = kinds.get(kind, 0) + 1
     kinds = ", ".join(f"{count} {kind}s" for kind, count in sorted(kinds.items()))
-    print(f"{engine}: {len(killed)} kills ({kinds}), {job.scenes + 1} tasks, none lost, data equal byte for byte, {time.monotonic() - began:.0f} s")
+    print(f"{engine}: {len(killed)} kills ({kinds}), {len(job.states())} tasks, none lost, data equal byte for byte, {time.monotonic() - began:.0f} s")
