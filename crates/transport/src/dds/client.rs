@@ -4,7 +4,7 @@
 use std::{collections::BTreeSet, thread, time::Duration};
 
 use ros2_client::dds::rustdds::{
-    RTPSEntity, Topic, TopicKind, WriteOptionsBuilder,
+    RTPSEntity, Timestamp, Topic, TopicKind, WriteOptionsBuilder,
     no_key::{DataWriter, SimpleDataReader},
 };
 
@@ -144,7 +144,7 @@ pub(super) fn call(
                 false => request.to_vec(),
             };
             let body = Body::of(message).ok_or_else(|| failed(&"expected plain CDR"))?;
-            let options = WriteOptionsBuilder::new().build();
+            let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).build();
             let identity = requests.write_with_options(body, options);
             sent.push(identity.map_err(|error| failed(&error))?);
             send_at = now + RETRY;

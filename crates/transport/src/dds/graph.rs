@@ -18,7 +18,7 @@ use ros2_client::{
     dds::rustdds::{
         self, DomainParticipant, DomainParticipantStatusEvent as Event,
         DomainParticipantStatusListener, GUID, LostReason, QosPolicies, RTPSEntity, StatusEvented,
-        TopicKind,
+        Timestamp, TopicKind,
         mio1::{Interest, Token, Waker},
         no_key::DataWriterCdr,
         policy::Durability,
@@ -177,7 +177,7 @@ impl Announcer {
         self.readers.iter().for_each(|&reader| node.add_reader(reader.into()));
         self.writers.iter().for_each(|&writer| node.add_writer(writer.into()));
         let info = ParticipantEntitiesInfo::new(self.participant, vec![node]);
-        if let Err(error) = self.writer.write(info, None) {
+        if let Err(error) = self.writer.write(info, Some(Timestamp::now())) {
             tracing::warn!("ros_discovery_info: {error}");
         }
     }

@@ -7,7 +7,7 @@
 use std::{io, sync::Arc, thread, time::Duration};
 
 use ros2_client::dds::rustdds::{
-    RTPSEntity, SampleIdentity, SequenceNumber, TopicKind, WriteOptionsBuilder,
+    RTPSEntity, SampleIdentity, SequenceNumber, Timestamp, TopicKind, WriteOptionsBuilder,
     mio1::{Interest, Token},
     no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader},
 };
@@ -129,7 +129,7 @@ impl Worker {
     /// Publishes a response, with the sample identity of the request unless its body has one.
     fn publish(&self, message: Vec<u8>, request: Option<SampleIdentity>) -> Result<(), String> {
         let Some(body) = Body::of(message.clone()) else { return Ok(()) };
-        let options = WriteOptionsBuilder::new();
+        let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now());
         let Some(request) = request else {
             self.responses
                 .write_with_options(body, options.build())
