@@ -8,6 +8,7 @@ import os
 import pathlib
 import shutil
 import signal
+import stat
 import subprocess
 import tempfile
 import time
@@ -95,7 +96,8 @@ class Cluster:
         (folder / "state").mkdir()
         gpus = [f"{folder}/{name}_gpu{number}" for name in self.names for number in range(self.gpus)]
         for file in gpus:
-            pathlib.Path(file).touch()
+            # Slurm accepts device files only; this is that of /dev/null.
+            os.mknod(file, stat.S_IFCHR | 0o666, os.makedev(1, 3))
         gres = f"Gres=gpu:{self.gpus} " if self.gpus else ""
         nodes = [
             f"NodeName={name} NodeAddr={ADDRESS}{11 + number} CPUs={self.cpus} RealMemory=8000 {gres}State=UNKNOWN"
