@@ -5,7 +5,7 @@
 //! which are read by a thread.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     io,
     sync::{
         Arc, Mutex, Weak,
@@ -29,6 +29,9 @@ use ros2_client::{
 use super::{event_loop::EventLoop, middleware};
 use crate::{Link, TransportError, TransportOptions, lock};
 
+/// Number of endpoints that are remembered after their end, the latest.
+const MAX_ENDED: usize = 1_024;
+
 pub(super) struct Graph {
     state: Arc<Mutex<State>>,
     /// Number of changes of the writers of other participants.
@@ -44,6 +47,9 @@ struct State {
     readers: BTreeMap<GUID, BTreeSet<GUID>>,
     /// Writers matched with each local reader.
     writers: BTreeMap<GUID, BTreeSet<GUID>>,
+    /// Readers and writers of others that ended. RustDDS may report a match with one of them after its end, since the two
+    /// events come from different threads.
+    ended: VecDeque<GUID>,
     /// Wakers of subscribers for writers that appear or disappear.
     wakers: Vec<Weak<Waker>>,
     /// Readers of each local writer whose lease ended without a farewell.
@@ -237,6 +243,16 @@ impl State {
         });
     }
 
+    /// Remembers an endpoint that its participant has removed; one whose lease ended may come back.
+    fn end(&mut self, endpoint: GUID, reason: &LostReason) {
+        if matches!(reason, LostReason::Disposed) {
+            self.ended.push_back(endpoint);
+        }
+        while self.ended.len() > MAX_ENDED {
+            self.ended.pop_front();
+        }
+    }
+
     /// Removes readers of local writers.
     fn forget(&mut self, is_lost: impl Fn(&GUID) -> bool, reason: &LostReason) {
         for (writer, readers) in &mut self.readers {
@@ -250,14 +266,22 @@ impl State {
 
     fn handle(&mut self, event: Event) {
         match event {
-            Event::RemoteReaderMatched { local_writer, remote_reader } => {
+            Event::RemoteReaderMatched { local_writer, remote_reader }
+                if !self.ended.contains(&remote_reader) =>
+            {
                 self.readers.entry(local_writer).or_default().insert(remote_reader);
             }
-            Event::ReaderLost { guid, reason } => self.forget(|reader| *reader == guid, &reason),
-            Event::RemoteWriterMatched { local_reader, remote_writer } => {
+            Event::ReaderLost { guid, reason } => {
+                self.end(guid, &reason);
+                self.forget(|reader| *reader == guid, &reason);
+            }
+            Event::RemoteWriterMatched { local_reader, remote_writer }
+                if !self.ended.contains(&remote_writer) =>
+            {
                 self.writers.entry(local_reader).or_default().insert(remote_writer);
             }
-            Event::WriterLost { guid, .. } => {
+            Event::WriterLost { guid, reason } => {
+                self.end(guid, &reason);
                 self.writers.values_mut().for_each(|writers| {
                     writers.remove(&guid);
                 });
@@ -304,5 +328,36 @@ impl State {
             }
             _ => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endpoints_that_ended_are_not_matched_afterwards() {
+        let [local, remote] = [(); 2].map(|()| GUID::new_participant_guid());
+        let mut state = State::default();
+        let lost = |reason| Event::ReaderLost { guid: remote, reason };
+        let matched = || Event::RemoteReaderMatched { local_writer: local, remote_reader: remote };
+        let readers = |state: &State| state.readers.get(&local).map_or(0, BTreeSet::len);
+        state.handle(matched());
+        assert_eq!(readers(&state), 1);
+        // A process that was not heard of for long comes back with the same endpoints.
+        state.handle(lost(LostReason::Timeout {
+            lease: rustdds::Duration::ZERO,
+            elapsed: rustdds::Duration::ZERO,
+        }));
+        assert_eq!(readers(&state), 0);
+        state.handle(matched());
+        assert_eq!(readers(&state), 1);
+        state.handle(lost(LostReason::Disposed));
+        state.handle(matched());
+        assert_eq!(readers(&state), 0);
+
+        state.handle(Event::WriterLost { guid: local, reason: LostReason::Disposed });
+        state.handle(Event::RemoteWriterMatched { local_reader: remote, remote_writer: local });
+        assert_eq!(state.writers.get(&remote).map_or(0, BTreeSet::len), 0);
     }
 }
