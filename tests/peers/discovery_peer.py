@@ -21,7 +21,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-# The first and the last topic that each process announces.
+# Topics and the nodes that publish them: the first that each process announces, and the node's last.
 EXPECTED = {"/found_out": "found", "/diagnostics": "found", "/found_in": "eddy_replay", "/rosout": "found"}
 TIMEOUT = 15
 
