@@ -19,6 +19,7 @@ use ros2_client::{
         self, DomainParticipant, DomainParticipantStatusEvent as Event,
         DomainParticipantStatusListener, GUID, LostReason, QosPolicies, RTPSEntity, StatusEvented,
         Timestamp, TopicKind,
+        dds::CreateResult,
         mio1::{Interest, Token, Waker},
         no_key::DataWriterCdr,
         policy::Durability,
@@ -83,12 +84,21 @@ impl Graph {
         Ok(graph)
     }
 
-    /// Announces a local writer.
-    pub(super) fn add_writer(&self, writer: GUID, link: &Link) {
-        lock(&self.state).links.insert(writer, link.clone());
+    /// Creates and announces a local writer. RustDDS may report a reader before `create` returns: its event waits until the
+    /// link of the writer is known.
+    pub(super) fn add_writer<W: RTPSEntity>(
+        &self,
+        link: &Link,
+        create: impl FnOnce() -> CreateResult<W>,
+    ) -> CreateResult<W> {
+        let mut state = lock(&self.state);
+        let writer = create()?;
+        state.links.insert(writer.guid(), link.clone());
+        drop(state);
         self.announce(|announcer| {
-            announcer.writers.insert(writer);
+            announcer.writers.insert(writer.guid());
         });
+        Ok(writer)
     }
 
     pub(super) fn remove_writer(&self, writer: GUID) {
@@ -101,15 +111,23 @@ impl Graph {
         state.links.remove(&writer);
     }
 
-    /// Announces a local reader. `link`: what to log writers under whose messages it does not receive; others that it cannot
-    /// read have a reader of their own.
-    pub(super) fn add_reader(&self, reader: GUID, link: Option<&Link>) {
+    /// Creates and announces a local reader, as [`add_writer`](Self::add_writer). `link`: what to log writers under whose
+    /// messages it does not receive; others that it cannot read have a reader of their own.
+    pub(super) fn add_reader<R: RTPSEntity>(
+        &self,
+        link: Option<&Link>,
+        create: impl FnOnce() -> CreateResult<R>,
+    ) -> CreateResult<R> {
+        let mut state = lock(&self.state);
+        let reader = create()?;
         if let Some(link) = link {
-            lock(&self.state).links.insert(reader, link.clone());
+            state.links.insert(reader.guid(), link.clone());
         }
+        drop(state);
         self.announce(|announcer| {
-            announcer.readers.insert(reader);
+            announcer.readers.insert(reader.guid());
         });
+        Ok(reader)
     }
 
     pub(super) fn remove_reader(&self, reader: GUID) {
@@ -246,10 +264,10 @@ impl State {
     /// Remembers an endpoint that its participant has removed; one whose lease ended may come back.
     fn end(&mut self, endpoint: GUID, reason: &LostReason) {
         if matches!(reason, LostReason::Disposed) {
+            if self.ended.len() == MAX_ENDED {
+                self.ended.pop_front();
+            }
             self.ended.push_back(endpoint);
-        }
-        while self.ended.len() > MAX_ENDED {
-            self.ended.pop_front();
         }
     }
 

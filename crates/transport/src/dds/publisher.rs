@@ -55,11 +55,11 @@ impl DdsPublisher {
         let topic = node.topic(link, &support.name)?;
         let qos = PublisherQos::of(reliability, &support.name, offered.as_ref());
         let kept = offered.and_then(|offered| NonZeroUsize::new(offered.kept()));
+        let policies = Some(qos.policies(kept));
         let writer = node
-            .publisher
-            .create_datawriter_no_key(&topic, Some(qos.policies(kept)))
+            .graph
+            .add_writer(link, || node.publisher.create_datawriter_no_key(&topic, policies))
             .map_err(|error| middleware(link, "create the publisher", &error))?;
-        node.graph.add_writer(writer.guid(), link);
         Ok(Self {
             link: link.clone(),
             type_name: support.name.clone(),

@@ -84,17 +84,19 @@ impl Worker {
         };
         let name = format!("rr{}Reply", link.topic);
         let responses = topic(name.clone(), response_type)?;
+        let policies = Some(PublisherQos::Reliable.policies(None));
         let responses = node
-            .publisher
-            .create_datawriter_no_key(&responses, Some(PublisherQos::Reliable.policies(None)))
+            .graph
+            .add_writer(link, || node.publisher.create_datawriter_no_key(&responses, policies))
             .map_err(failed)?;
         let requests = topic(format!("rq{}Request", link.topic), request_type)?;
-        let requests: SimpleDataReader<Vec<u8>, PassThrough> = node
-            .subscriber
-            .create_simple_datareader_no_key(&requests, Some(qos::reliable_reader()))
+        let policies = Some(qos::reliable_reader());
+        let requests = node
+            .graph
+            .add_reader(None, || {
+                node.subscriber.create_simple_datareader_no_key(&requests, policies)
+            })
             .map_err(failed)?;
-        node.graph.add_writer(responses.guid(), link);
-        node.graph.add_reader(requests.guid(), None);
         let (link, node) = (link.clone(), Arc::clone(node));
         Ok(Self { link, requests, responses, handler, topic: name, node })
     }

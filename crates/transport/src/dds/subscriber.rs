@@ -258,13 +258,15 @@ fn open(
     registry: &Registry,
 ) -> Result<Reader, TransportError> {
     let mut reader: Reader = node
-        .subscriber
-        .create_simple_datareader_no_key(topic, Some(kind.qos()))
+        .graph
+        .add_reader(is_only.then_some(link), || {
+            node.subscriber.create_simple_datareader_no_key(topic, Some(kind.qos()))
+        })
         .map_err(|error| middleware(link, "create the subscriber", &error))?;
-    registry
-        .register(&mut reader, kind.token(), Interest::READABLE)
-        .map_err(|error| middleware(link, "create the subscriber", &error))?;
-    node.graph.add_reader(reader.guid(), is_only.then_some(link));
+    if let Err(error) = registry.register(&mut reader, kind.token(), Interest::READABLE) {
+        node.graph.remove_reader(reader.guid());
+        return Err(middleware(link, "create the subscriber", &error));
+    }
     Ok(reader)
 }
 
