@@ -2,7 +2,8 @@
 
     store_peer.py EDDY [--time]
 
-1. A data set in each store reads as from the disk: `bag info`, `bag check`, `predict` (equal bytes), `train` (equal curves), `replay`.
+1. A data set in each store reads as from the disk: `bag info`, `bag check`, `predict` (equal bytes), `train` (equal weights),
+   `eval` (equal curves), `replay`.
 2. `simulate` into a store: the bags have the bytes of those on a disk; killed in the middle, each scene is there as a whole or not
    at all, and the same command continues; of two processes that write into one place, one ends with a sentence.
 3. Faults between eddy and the store: answers 503 are repeated; an object that is removed or replaced while it is read, expired
@@ -242,7 +243,7 @@ def reads_like_the_disk(eddy, endpoint, url, truth, name):
         there = eddy.succeed(endpoint, *command, f"{url}/scene_0000").replace(f"{url}/", "")
         here = eddy.succeed(None, *command, truth / "scene_0000").replace(f"{truth}/", "")
         expect(there == here, f"{name}: {command}: found {there}, expected {here}")
-    bags = []
+    bags, curves = [], []
     for place, where in (("here", truth), ("there", url)):
         output = eddy.folder / f"{name}-{place}"
         at = None if place == "here" else endpoint
@@ -252,7 +253,14 @@ def reads_like_the_disk(eddy, endpoint, url, truth, name):
             "--config", eddy.folder / "small.toml",
         )  # fmt: skip
         bags.append([digest(file.read_bytes()) for file in sorted(output.glob("*.mcap"))])
+        report = eddy.folder / f"{name}-{place}-report"
+        eddy.succeed(
+            at, "eval", "--checkpoint", eddy.folder / f"{name}-here-model", "--data", where, "--output", report,
+            "--horizon", "20", "--starts", "2",
+        )  # fmt: skip
+        curves.append((report / "curves.csv").read_text())
     expect(bags[0] == bags[1], f"{name}: the predictions differ from those of the bag on the disk")
+    expect(curves[0] == curves[1], f"{name}: the evaluation differs from that of the bags on the disk")
     weights = [(eddy.folder / f"{name}-{place}-model" / "model.safetensors").read_bytes() for place in ("here", "there")]
     expect(weights[0] == weights[1], f"{name}: the weights differ from those trained from the disk")
     played = eddy.succeed(endpoint, "replay", f"{url}/scene_0000", "--to", "shm", "--remap", f"/particles:=/store_{os.getpid()}/{name}", "--rate", "20")
