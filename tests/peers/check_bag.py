@@ -23,10 +23,10 @@ from mcap.writer import CompressionType
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as McapWriter
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
 
-MSGS = Path(__file__).resolve().parents[2] / "msgs" / "eddy_msgs" / "msg"
-FRAME = "eddy_msgs/msg/ParticleFrame"
+from prediction_bag import FRAME, typestore
+
 FRAMES = 25
 PARTICLES = 300
 DT = 0.016
@@ -35,15 +35,6 @@ DT = 0.016
 def expect(holds, sentence):
     if not holds:
         sys.exit(f"check_bag.py: {sentence}")
-
-
-def typestore():
-    """ROS 2's messages, and eddy's as rosbags parses them."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for path in sorted(MSGS.glob("*.msg")):
-        store.register(get_types_from_msg(path.read_text(), f"eddy_msgs/msg/{path.stem}"))
-    expect(FRAME in store.fielddefs, f"rosbags does not know {FRAME} after reading {MSGS}")
-    return store
 
 
 def plain(value):

@@ -26,7 +26,7 @@ import numpy
 from PIL import Image
 from rosbags.rosbag2 import Reader
 
-from check_bag import typestore
+from prediction_bag import typestore
 
 MATERIALS = ["liquid", "snow", "jelly", "rope"]
 GNS_TYPES = numpy.array([5, 6, 7, 8])

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from rosbags.rosbag2 import Reader
 
-from check_bag import FRAME, typestore
+from prediction_bag import FRAME, typestore
 
 TOPIC = "/two_hosts"
 OUTAGE = 10  # s
