@@ -52,6 +52,27 @@ def check_transfer():
     expect(torch.allclose(mass.sum((2, 3)), of_kind.float(), rtol=1e-5), "the grid's mass is not that of the particles")
 
 
+def check_call():
+    """Particles receive the velocities of their own material and frame, and the network sees each material's own."""
+    position, material = drawn(1, 300, 2), (drawn(1, 300) * 4).long()
+    velocity = material[..., None] + torch.tensor((1.0, 2.0))
+    model, seen = neural_mpm.NeuralMpm(), []
+    model.scale.fill_(0.5)
+    # Channels by frame, material and direction.
+    channels = torch.arange(float(neural_mpm.BUNDLE * 4 * 2))[None, :, None, None]
+    model.processor = torch.nn.Identity()
+    model.processor.forward = lambda grid: seen.append(grid) or channels.expand(-1, -1, neural_mpm.NODES, neural_mpm.NODES)
+    for frame, (_, found) in enumerate(model.call(position, velocity, material)):
+        wanted = 0.5 * (8 * frame + 2 * material[..., None] + torch.arange(2))
+        expect(torch.allclose(found, wanted, rtol=1e-4), f"frame {frame}: a particle has the velocity of another material")
+    grid = seen[0][0, :12].unflatten(0, (4, 3))
+    for kind, (mass, *of_kind) in enumerate(grid):
+        for direction, channel in enumerate(of_kind):
+            wanted = (kind + 1 + direction) / 0.5
+            filled = channel[mass > 0.1]
+            expect(len(filled) > 20 and torch.allclose(filled, torch.full_like(filled, wanted), rtol=1e-3), f"material {kind}: {filled}")
+
+
 def check_mirror():
     """Of a window and its mirror image the one is drawn as often as the other, and nothing else."""
     scenes = Scenes.__new__(Scenes)
@@ -87,20 +108,24 @@ def check_symmetries():
     velocity, material = position.diff(dim=1, prepend=position[:, :1]), (drawn(1, 200) * 4).long()
     for rival in (gns.Gns(), neural_mpm.NeuralMpm(), Transolver()):
         rival.scale.fill_(1e-2)
+        for parameter in rival.parameters():
+            torch.nn.init.normal_(parameter, std=0.1)
         roll = lambda x, v, m: next(rival.rollout(Window(x, v, m), 1))[0]
         plain = roll(position, velocity, material)
+        # Sums in another order differ by rounding.
+        tolerance = 1e-4 * (plain - position[:, -1]).abs().max()
         permuted = roll(position[:, :, order], velocity[:, :, order], material[:, order])
         error = (permuted - plain[:, order]).abs().max()
-        expect(error < 1e-5, f"{type(rival).__name__}: another order of particles moves them by {error}")
+        expect(error < tolerance, f"{type(rival).__name__}: another order of particles moves them by {error}")
         moved = (roll(position + 0.5, velocity, material) - plain).abs().max()
         expect(moved > 0.4, f"{type(rival).__name__}: the prediction is not of the observed particles")
         if isinstance(rival, gns.Gns):
             error = (roll(position + shift, velocity, material) - plain - shift).abs().max()
-            expect(error < 1e-5, f"GNS: a shift of all particles changes their motion by {error}")
+            expect(error < tolerance, f"GNS: a shift of all particles changes their motion by {error}")
 
 
 def main():
-    for check in (check_neighbours, check_transfer, check_mirror, check_before, check_symmetries):
+    for check in (check_neighbours, check_transfer, check_call, check_mirror, check_before, check_symmetries):
         check()
         print(f"{check.__name__}: holds")
 

@@ -2,7 +2,8 @@
 
 Written after O. Rochman-Sharabi, S. Lewin and G. Louppe, "A neural material point method for particle-based emulation", 2024:
 particles are interpolated to a regular grid, a U-Net predicts the grid's velocities of the next frames, and these are
-interpolated back to the particles, which move with them; the loss is that of positions over several calls.
+interpolated back to the particles, which move with them; the loss is that of positions over several calls. `rival.py` lists what
+differs from the paper and its authors' program.
 
 Letters in shapes: B windows, N particles, M materials, G nodes a side, K frames a call.
 """

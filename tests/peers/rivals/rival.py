@@ -11,9 +11,12 @@ data set of streams of one shape in a square domain.
 30 s, and the same command goes on. Adam, rate falling along half a cosine to 1 %, averaged weights (.999), gradients of norm 1 at
 most, bf16 on a GPU. Prints the loss, and with --validation the error of free rollouts, every minute.
 
-As published are the networks, inputs, losses and noise, except: GNS learns faster (7e-4 and batches of 16 instead of 1e-4 and 2), and
-frames before the first of a stream are a parabola; NeuralMPM predicts 4 frames a call and each material's velocities on their own;
-Transolver's paper has no simulator, so its inputs, its outputs and its loss are ours. No budget here is a published one.
+How they differ from what is published, besides budgets far below the published ones:
+
+- gns: learns faster (7e-4 and batches of 16 instead of 1e-4 and 2); frames before the first of a stream are a parabola.
+- neural_mpm: particles go to the grid by bilinear weights (the authors' program: to the nearest cell) without noise, the U-Net is a plain
+  one (two convolutions a level and ReLU), it predicts 4 frames a call instead of 8, and each material has its own velocities.
+- transolver: the paper has no simulator; only the attention and its blocks are published, inputs, outputs and loss are ours.
 
 `predict` writes free rollouts from the starts of `eddy eval`, one bag for each stream. `eddy eval --predictions NAME=FOLDER` with
 the same data, horizon and starts then compares them with the truth, the trivial predictors and eddy's checkpoint.

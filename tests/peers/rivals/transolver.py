@@ -67,6 +67,8 @@ class Transolver(nn.Module):
         self.encode = nn.Sequential(nn.Linear(features, 2 * WIDTH), nn.GELU(), nn.Linear(2 * WIDTH, WIDTH))
         self.blocks = nn.Sequential(*[Block() for _ in range(LAYERS)])
         self.decode = nn.Sequential(nn.LayerNorm(WIDTH), nn.Linear(WIDTH, 4))
+        # Begins with the mean change, so that the rollouts of the first steps stay finite.
+        nn.init.zeros_(self.decode[1].weight)
         # Deviation of velocities; mean and deviation of what is added to them in a frame.
         self.register_buffer("scale", torch.ones(3, 2))
 
