@@ -132,6 +132,22 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "eddy eval --checkpoint checkpoints/particle-mingru --data bags/unseen --predictions mine=bags/mine --output reports/both",
         "needs another program; tests/peers/predictions_peer.py",
     ),
+    (
+        "python3 tests/peers/rivals/rival.py train neural_mpm neural_mpm.pt --data arrays --minutes 20",
+        "needs PyTorch",
+    ),
+    (
+        "python3 tests/peers/rivals/rival.py predict neural_mpm neural_mpm.pt --eddy target/release/eddy --data bags/unseen --output bags/neural_mpm",
+        "needs PyTorch",
+    ),
+    (
+        "python3 tests/peers/rivals/rival.py time neural_mpm neural_mpm.pt --data arrays",
+        "needs PyTorch",
+    ),
+    (
+        "eddy eval --checkpoint checkpoints/particle-mingru --data bags/unseen --predictions neural_mpm=bags/neural_mpm --output reports/rivals",
+        "needs PyTorch",
+    ),
     ("ros2 topic hz /prediction", "needs ROS 2; tests/peers/run tests it"),
     ("ros2 param set /eddy_node horizon 20", "needs ROS 2; tests/peers/run tests it"),
     (
