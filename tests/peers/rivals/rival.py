@@ -150,6 +150,8 @@ def predict(options):
     shipped = Path(__file__).resolve().parents[3] / "checkpoints" / "particle-mingru"
     evaluate = [options.eddy, "--quiet", "eval", "--checkpoint", shipped, "--data", options.data, "--horizon", options.horizon]
     streams, horizon = starts([*evaluate, "--starts", options.starts])
+    if options.output.exists():
+        raise SystemExit(f"{options.output}: found a file or folder, expected none")
     options.output.mkdir(parents=True)
     for entry in streams:
         frames = frames_of(entry["bag"], entry["stream"], store)
