@@ -7,8 +7,8 @@
 NAME is gns, neural_mpm or transolver; MODEL the file of its weights; FOLDER the output of `eddy bag export --format npz`, one
 data set of streams of one shape in a square domain.
 
-`train` trains for so many minutes of the device, however often it is interrupted: MODEL has the state of the training, saved every
-30 s, and the same command goes on. Adam, rate falling along half a cosine to 1 %, averaged weights (.999), gradients of norm 1 at
+`train` trains for the given number of minutes in total: MODEL holds the state of the training, saved every 30 s, and after an
+interruption the same command continues. Adam, rate falling along half a cosine to 1 %, averaged weights (.999), gradients of norm 1 at
 most, bf16 on a GPU. Prints the loss, and with --validation the error of free rollouts, every minute.
 
 How they differ from what is published, besides budgets far below the published ones:
@@ -107,7 +107,7 @@ def train(options):
         generator.set_state(state["generator"].cpu())
         trained, step = state["seconds"], state["step"]
 
-    def state():
+    def snapshot():
         return {
             "name": options.name, "batch": batch, "seed": options.seed, "seconds": trained, "step": step, "model": model.state_dict(),
             "average": average.module.state_dict(), "optimiser": optimiser.state_dict(), "generator": generator.get_state(),
@@ -137,7 +137,7 @@ def train(options):
             print(json.dumps({"seconds": round(trained), "step": step, "loss": float(numpy.mean(losses)), **error}), flush=True)
             printed, losses = trained, []
         if trained - saved >= SAVED or is_last:
-            save(state(), options.model)
+            save(snapshot(), options.model)
             saved = trained
         # Neither validation nor saving is training.
         last = time.monotonic()
@@ -145,13 +145,13 @@ def train(options):
 
 @torch.no_grad()
 def predict(options):
+    if options.output.exists():
+        raise SystemExit(f"{options.output}: found a file or folder, expected none")
     model, store = load(options.name, options.model), typestore()
     # Does not decide on the starts, but `eddy eval` evaluates a checkpoint.
     shipped = Path(__file__).resolve().parents[3] / "checkpoints" / "particle-mingru"
     evaluate = [options.eddy, "--quiet", "eval", "--checkpoint", shipped, "--data", options.data, "--horizon", options.horizon]
     streams, horizon = starts([*evaluate, "--starts", options.starts])
-    if options.output.exists():
-        raise SystemExit(f"{options.output}: found a file or folder, expected none")
     options.output.mkdir(parents=True)
     for entry in streams:
         frames = frames_of(entry["bag"], entry["stream"], store)
