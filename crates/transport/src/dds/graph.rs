@@ -84,17 +84,28 @@ impl Graph {
         Ok(graph)
     }
 
-    /// Creates and announces a local writer. RustDDS may report a reader before `create` returns: its event waits until the
-    /// link of the writer is known.
+    /// Creates a local endpoint. RustDDS may report a match before `create` returns: its event waits until the link of the
+    /// endpoint is known.
+    fn create<E: RTPSEntity>(
+        &self,
+        link: Option<&Link>,
+        create: impl FnOnce() -> CreateResult<E>,
+    ) -> CreateResult<E> {
+        let mut state = lock(&self.state);
+        let endpoint = create()?;
+        if let Some(link) = link {
+            state.links.insert(endpoint.guid(), link.clone());
+        }
+        Ok(endpoint)
+    }
+
+    /// Creates and announces a local writer.
     pub(super) fn add_writer<W: RTPSEntity>(
         &self,
         link: &Link,
         create: impl FnOnce() -> CreateResult<W>,
     ) -> CreateResult<W> {
-        let mut state = lock(&self.state);
-        let writer = create()?;
-        state.links.insert(writer.guid(), link.clone());
-        drop(state);
+        let writer = self.create(Some(link), create)?;
         self.announce(|announcer| {
             announcer.writers.insert(writer.guid());
         });
@@ -111,19 +122,14 @@ impl Graph {
         state.links.remove(&writer);
     }
 
-    /// Creates and announces a local reader, as [`add_writer`](Self::add_writer). `link`: what to log writers under whose
-    /// messages it does not receive; others that it cannot read have a reader of their own.
+    /// Creates and announces a local reader. `link`: what to log writers under whose messages it does not receive; others that
+    /// it cannot read have a reader of their own.
     pub(super) fn add_reader<R: RTPSEntity>(
         &self,
         link: Option<&Link>,
         create: impl FnOnce() -> CreateResult<R>,
     ) -> CreateResult<R> {
-        let mut state = lock(&self.state);
-        let reader = create()?;
-        if let Some(link) = link {
-            state.links.insert(reader.guid(), link.clone());
-        }
-        drop(state);
+        let reader = self.create(link, create)?;
         self.announce(|announcer| {
             announcer.readers.insert(reader.guid());
         });
