@@ -31,8 +31,13 @@ macro_rules! files {
 
 files! {
     the_node_runs_with_its_settings: "node_lookahead.toml" => node,
-    the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => train,
-    the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => train,
+    the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => |name| train(name, "frame min"),
+    the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => |name| {
+        train(name, "frame min");
+    },
+    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => |name| {
+        train(name, "particle min");
+    },
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
     replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
@@ -79,15 +84,15 @@ fn study(name: &str) {
     assert!(!study.wait().success());
 }
 
-/// Trains until the first signal: to the end it would take days.
-fn train(name: &str) {
+/// Trains until it says which network: to the end it would take days.
+fn train(name: &str, network: &str) {
     let folder = tempfile::tempdir().unwrap();
     let (bag, output) = (folder.path().join("bag"), folder.path().join("model"));
     write_bag(&bag, &(0..6).map(stream).collect::<Vec<_>>());
     let mut command = talking_eddy();
     command.args(["train", "--config", &file(name), "--data", bag.to_str().unwrap()]);
     command.args(["--output", output.to_str().unwrap()]);
-    let mut training = Process::start_until(&mut command, "frame min");
+    let mut training = Process::start_until(&mut command, network);
     training.interrupt();
     training.wait();
     let said = training.rest();
