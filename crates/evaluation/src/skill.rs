@@ -84,7 +84,19 @@ impl Skills {
     /// 95 % intervals of the skill averaged over kinds and `predictors`, at `frames` ahead (from 1), by bootstrap over
     /// the scenes of each kind. `None` when a kind has fewer than five scenes.
     pub fn intervals(&self, predictors: &[usize], frames: &[usize]) -> Option<Vec<Interval>> {
-        intervals(self, &self.kinds, predictors, frames)
+        intervals(self, &self.kinds, &mean_of(predictors, 1.0), frames)
+    }
+
+    /// As [`Skills::intervals`], of the difference between the mean skills of `predictors` and of `others`, both from the same
+    /// resamples of the scenes.
+    pub fn gain_intervals(
+        &self,
+        predictors: &[usize],
+        others: &[usize],
+        frames: &[usize],
+    ) -> Option<Vec<Interval>> {
+        let difference = [mean_of(predictors, 1.0), mean_of(others, -1.0)].concat();
+        intervals(self, &self.kinds, &difference, frames)
     }
 
     /// As [`Skills::intervals`], for the scenes of one kind.
@@ -95,7 +107,7 @@ impl Skills {
         frames: &[usize],
     ) -> Option<Vec<Interval>> {
         let at = self.kinds.iter().position(|errors| errors.kind == kind)?;
-        intervals(self, &self.kinds[at..=at], predictors, frames)
+        intervals(self, &self.kinds[at..=at], &mean_of(predictors, 1.0), frames)
     }
 
     /// Skill over the chosen scenes of a kind at frame `k`, from 0.
@@ -150,10 +162,16 @@ pub fn position_skill(
     errors.into_iter().map(skill).collect()
 }
 
+/// Weights of predictors in `factor` times their mean.
+fn mean_of(predictors: &[usize], factor: f64) -> Vec<(usize, f64)> {
+    predictors.iter().map(|&predictor| (predictor, factor / predictors.len() as f64)).collect()
+}
+
+/// Intervals of a weighted sum of predictors' skills.
 fn intervals(
     skills: &Skills,
     kinds: &[KindErrors],
-    predictors: &[usize],
+    weights: &[(usize, f64)],
     frames: &[usize],
 ) -> Option<Vec<Interval>> {
     if kinds.is_empty() || kinds.iter().any(|kind| kind.scenes.len() < MIN_SCENES) {
@@ -165,10 +183,12 @@ fn intervals(
         let mean = |&ahead: &usize| {
             let mut sum = 0.0;
             for (kind, chosen) in kinds.iter().zip(&choices) {
-                let of = |&predictor: &usize| skills.skill(kind, chosen, predictor, ahead - 1);
-                sum += predictors.iter().map(of).sum::<f64>();
+                let of = |&(predictor, weight): &(usize, f64)| {
+                    weight * skills.skill(kind, chosen, predictor, ahead - 1)
+                };
+                sum += weights.iter().map(of).sum::<f64>();
             }
-            sum / (kinds.len() * predictors.len()) as f64
+            sum / kinds.len() as f64
         };
         frames.iter().map(mean).collect()
     });
@@ -233,6 +253,27 @@ mod tests {
         // The first baseline itself has no skill.
         let expected = Interval { lower: 0.25, upper: 0.25 };
         assert_eq!(skills.intervals(&[0, 2], &[1]), Some(vec![expected]));
+    }
+
+    #[test]
+    fn a_gain_is_taken_on_the_same_scenes() {
+        // Errors differ from scene to scene, the difference of the two predictors does not.
+        let scene = |number: u8| {
+            let error = f64::from(number) / 20.0;
+            [1.0, 1.0, error + 0.25, error]
+        };
+        let scenes: Vec<[f64; 4]> = (0..20).map(scene).collect();
+        let kind = KindErrors {
+            kind: Kind::Liquid,
+            scenes: scenes.iter().map(|s| s.iter().map(|&e| vec![e]).collect()).collect(),
+        };
+        let skills = Skills { kinds: vec![kind], baselines: 0..2, horizon: 1 };
+        let [alone] = skills.intervals(&[3], &[1]).unwrap()[..] else { panic!("one frame") };
+        let [gain] = skills.gain_intervals(&[3], &[2], &[1]).unwrap()[..] else { panic!() };
+        assert!(alone.upper - alone.lower > 0.1, "{alone:?}");
+        assert!((gain.lower - 0.25).abs() < 1e-12 && (gain.upper - 0.25).abs() < 1e-12, "{gain:?}");
+        let [both] = skills.gain_intervals(&[2, 3], &[2], &[1]).unwrap()[..] else { panic!() };
+        assert!((both.lower - 0.125).abs() < 1e-12, "half of it: {both:?}");
     }
 
     #[test]

@@ -22,6 +22,20 @@ pub struct Group {
     pub skill: GroupSkill,
     /// By kind of scene.
     pub kinds: Vec<(Kind, GroupSkill)>,
+    /// Gain over the first group; `None` for the first group itself.
+    #[serde(default)]
+    pub gain: Option<Gain>,
+}
+
+/// The difference between the skills of two groups on the same scenes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Gain {
+    /// Difference of the skills averaged over kinds and seeds; one number per frame ahead.
+    #[serde(deserialize_with = "numbers::list")]
+    pub gain: Vec<f64>,
+    /// 95 % intervals of `gain` by bootstrap over scenes, the same for both groups, at the frames shown; `None` when a kind
+    /// has fewer than five scenes.
+    pub gain_intervals: Option<Vec<Interval>>,
 }
 
 /// Skill of a group.
@@ -74,9 +88,20 @@ impl Group {
                 ms: times.map(|times| times.iter().sum::<f64>() / times.len() as f64),
                 skill: GroupSkill::new(curves, skills.intervals(&members, shown)),
                 kinds: skills.kinds().map(of_kind).collect(),
+                gain: None,
             }
         };
+        let members: Vec<Vec<usize>> = groups.iter().map(|(_, members)| members.clone()).collect();
         let mut groups: Vec<Self> = groups.into_iter().map(group).collect();
+        if let Some((first, others)) = groups.split_first_mut() {
+            for (group, members_of) in others.iter_mut().zip(&members[1..]) {
+                let pairs = group.skill.skill.iter().zip(&first.skill.skill);
+                group.gain = Some(Gain {
+                    gain: pairs.map(|(mine, first)| mine - first).collect(),
+                    gain_intervals: skills.gain_intervals(members_of, &members[0], shown),
+                });
+            }
+        }
         distinguish(&mut groups);
         groups
     }
@@ -131,6 +156,7 @@ mod tests {
             ms: None,
             skill: GroupSkill { skill: Vec::new(), spread: Vec::new(), skill_intervals: None },
             kinds: Vec::new(),
+            gain: None,
         };
         let mut groups = [
             group("particle mingru", "mine"),

@@ -1,6 +1,9 @@
 //! Skill, seeds and remarks.
 
-use super::{super::group::GroupSkill, Report, Role, between, frames_ahead, milliseconds, skill};
+use super::{
+    super::group::{Gain, GroupSkill},
+    Report, Role, between, frames_ahead, milliseconds, skill,
+};
 use crate::{
     BlowUps,
     page::{Axis, LinePlot, Section, Series, Table},
@@ -26,7 +29,7 @@ impl Report {
         section.paragraph(
             "Checkpoints that differ only in their training are seeds of one model. Deviations are sample standard \
              deviations over seeds. Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of the scenes, \
-             the same for all seeds. With fewer than five scenes of a kind there is none.",
+             the same for all seeds and for both sides of a gain. With fewer than five scenes of a kind there is none.",
         );
     }
 
@@ -97,6 +100,14 @@ impl Report {
             if skill_intervals.is_some() {
                 let at_shown = |at| between(skill_intervals.as_ref(), at);
                 table.detail_row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
+            }
+            if let Some(Gain { gain, gain_intervals }) = &group.gain {
+                table.detail_row(
+                    format!("gain over {}", self.groups[0].name),
+                    self.at_shown(gain, skill),
+                );
+                let at_shown = |at| between(gain_intervals.as_ref(), at);
+                table.detail_row("95 % interval of the gain", (0..self.shown.len()).map(at_shown));
             }
         }
         Some(table)
