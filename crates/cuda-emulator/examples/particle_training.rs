@@ -1,16 +1,23 @@
 //! The particle model's training on a GPU: `check` compares small networks of every core with the emulator and two runs with each
-//! other; `time` times steps of the usual network; `once` takes one step, for a profiler.
+//! other; `time` times steps of the usual network; `profile` adds the times of its kernels up, launched one after the other;
+//! `once` takes one step, for a profiler.
+
+#![expect(unsafe_code, reason = "a device that passes launches on")]
 
 #[path = "problem/mod.rs"]
 #[expect(dead_code, reason = "the example of the frame model uses more of it")]
 mod problem;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+};
 
 use eddy_cuda::{
-    device::Device,
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
+    Result as DeviceResult,
     gpu::{Gpu, Precision, list},
-    kernels::MATERIALS,
+    kernels::{Kernel, MATERIALS},
     particle::{Store, StoreWriter, Training, TrainingConstants},
     training::{Batch, GROUP, InTraining as _, Settings, Window},
 };
@@ -36,8 +43,9 @@ fn main() -> Result<()> {
     match std::env::args().nth(1).as_deref() {
         Some("check") => check(),
         Some("time") => time(),
+        Some("profile") => profile(),
         Some("once") => once(),
-        _ => Err("expected check, time or once".into()),
+        _ => Err("expected check, time, profile or once".into()),
     }
 }
 
@@ -220,5 +228,97 @@ fn once() -> Result<()> {
     let mut training = problem.training(gpu)?;
     training.start(&problem.batches(1))?;
     println!("{:?}", training.outcomes(1)?);
+    Ok(())
+}
+
+/// A GPU that times each launch. It cannot record, so that every step launches its kernels anew.
+struct Timed {
+    gpu: Gpu,
+    /// Launches of each kernel, and their time (ms).
+    times: Mutex<BTreeMap<&'static str, (usize, f32)>>,
+}
+
+impl Device for Timed {
+    fn allocate(&self, bytes: usize) -> DeviceResult<Buffer> {
+        self.gpu.allocate(bytes)
+    }
+
+    fn allocate_host(&self, bytes: usize) -> DeviceResult<HostBuffer> {
+        self.gpu.allocate_host(bytes)
+    }
+
+    fn rounds_to_tf32(&self) -> bool {
+        self.gpu.rounds_to_tf32()
+    }
+
+    fn free_memory(&self) -> DeviceResult<u64> {
+        self.gpu.free_memory()
+    }
+
+    fn write(&self, to: &Buffer, offset: usize, bytes: &[u8]) -> DeviceResult<()> {
+        self.gpu.write(to, offset, bytes)
+    }
+
+    fn read(&self, from: &Buffer, offset: usize, bytes: &mut [u8]) -> DeviceResult<()> {
+        self.gpu.read(from, offset, bytes)
+    }
+
+    fn copy(&self, to: &Buffer, from: &Buffer) -> DeviceResult<()> {
+        self.gpu.copy(to, from)
+    }
+
+    fn clear(&self, queue: Queue, buffer: &Buffer) -> DeviceResult<()> {
+        self.gpu.clear(queue, buffer)
+    }
+
+    unsafe fn launch(
+        &self,
+        queue: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> DeviceResult<()> {
+        // SAFETY: guaranteed by the caller.
+        let time = self.gpu.time(|| unsafe { self.gpu.launch(queue, kernel, shape, arguments) })?;
+        let mut times = self.times.lock().expect("no launch panics");
+        let (launches, total) = times.entry(kernel.name()).or_default();
+        (*launches, *total) = (*launches + 1, *total + time);
+        Ok(())
+    }
+
+    unsafe fn multiply(&self, queue: Queue, product: &Product) -> DeviceResult<()> {
+        // SAFETY: guaranteed by the caller.
+        unsafe { self.gpu.multiply(queue, product) }
+    }
+
+    unsafe fn average(&self, queue: Queue, at: Address, numbers: usize) -> DeviceResult<()> {
+        // SAFETY: guaranteed by the caller.
+        unsafe { self.gpu.average(queue, at, numbers) }
+    }
+
+    fn finish(&self) -> DeviceResult<()> {
+        self.gpu.finish()
+    }
+}
+
+fn profile() -> Result<()> {
+    for unroll in [2, 14] {
+        let problem = Problem::new(Core::MinGru, usual(), 25, settings(16, WARM_UP, unroll));
+        let constants = TrainingConstants::of(&problem.description)?;
+        let gpu = Gpu::new(0, &constants, Precision::Fp32, None)?;
+        let timed = Arc::new(Timed { gpu, times: Mutex::default() });
+        let mut training = problem.training(timed.clone())?;
+        training.start(&problem.batches(2))?;
+        timed.times.lock().expect("no launch panics").clear();
+        training.start(&problem.batches(10))?;
+        let times = timed.times.lock().expect("no launch panics");
+        let mut kernels: Vec<_> = times.iter().collect();
+        kernels.sort_by(|(_, (_, a)), (_, (_, b))| b.total_cmp(a));
+        println!("a step with {unroll} free frames: kernel, launches, ms, us a launch");
+        for (kernel, (launches, time)) in kernels {
+            let each = 1e3 * time / *launches as f32;
+            println!("{kernel:24} {:4} {:7.3} {each:7.1}", launches / 10, time / 10.0);
+        }
+    }
     Ok(())
 }

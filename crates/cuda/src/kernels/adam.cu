@@ -1,19 +1,30 @@
 // Adam (Kingma and Ba 2015) over the matrix of a layer, its tensors' gradients shortened to `clip` each first. A
 // layer holds `parts` weight tensors side by side, `width` columns each, rows 0..bias, and their biases in row `bias`;
-// tensor 2 * part is a weight, 2 * part + 1 its bias. Padding is 0 in weights and gradients.
+// tensor 2 * part is a weight, 2 * part + 1 its bias. Padding is 0 in weights and gradients. A launch is for one matrix or for
+// several, one behind the other in `places`.
+struct Place {
+  u32 first;          // number of the matrix within all
+  int rows, columns;
+  int bias, width;
+  int tensor, tensors; // the first one, and how many
+};
 
-// Sums of squares of the gradients: [tensors, CHUNKS], zero where there is no block. grid (at most CHUNKS, tensors), block 256
+// Sums of squares of the gradients: [tensors, CHUNKS], zero where there is no block. grid (at most CHUNKS, most tensors, matrices),
+// block 256
 #define CHUNKS 256
-extern "C" __global__ void __launch_bounds__(256) squares_of_gradient(const float* __restrict__ g, float* __restrict__ squares, int columns, int bias, int width) {
-  const int part = blockIdx.y / 2, first = blockIdx.y % 2 ? bias : 0, rows = blockIdx.y % 2 ? 1 : bias, wide = width / 4;
+extern "C" __global__ void __launch_bounds__(256) squares_of_gradient(const Place* __restrict__ places, const float* __restrict__ gradients, float* __restrict__ squares) {
+  const Place place = places[blockIdx.z];
+  if ((int)blockIdx.y >= place.tensors) return;
+  const int part = blockIdx.y / 2, first = blockIdx.y % 2 ? place.bias : 0, rows = blockIdx.y % 2 ? 1 : place.bias, wide = place.width / 4;
+  const float* g = gradients + place.first;
   const u32 n = (u32)rows * wide;
   float sum = 0.0f;
   for (u32 i = blockIdx.x * 256 + threadIdx.x; i < n; i += gridDim.x * 256) {
-    const float4 v = *(const float4*)(g + (size_t)(first + i / wide) * columns + part * width + 4 * (i % wide));
+    const float4 v = *(const float4*)(g + (size_t)(first + i / wide) * place.columns + part * place.width + 4 * (i % wide));
     sum += v.x * v.x + v.y * v.y + v.z * v.z + v.w * v.w;
   }
   sum = block_sum(sum);
-  if (threadIdx.x == 0) squares[(size_t)blockIdx.y * CHUNKS + blockIdx.x] = sum;
+  if (threadIdx.x == 0) squares[(size_t)(place.tensor + blockIdx.y) * CHUNKS + blockIdx.x] = sum;
 }
 // What each tensor's gradient is multiplied by: 0 where it is not finite. grid tensors, block 256
 extern "C" __global__ void __launch_bounds__(256) clip(const float* __restrict__ squares, float* __restrict__ scales, float* __restrict__ totals, float longest) {
@@ -23,15 +34,16 @@ extern "C" __global__ void __launch_bounds__(256) clip(const float* __restrict__
   const float norm = sqrtf(total);
   scales[blockIdx.x] = !(norm <= 3.4e38f) ? 0.0f : (norm > longest ? longest / norm : 1.0f);
 }
-// grid ceil(rows * columns / 4 / 256), block 256
-extern "C" __global__ void __launch_bounds__(256) adam(float4* __restrict__ w, const float4* __restrict__ g, float4* __restrict__ first, float4* __restrict__ second,
-    float4* __restrict__ average, const float* __restrict__ scales, const Schedule* __restrict__ schedule,
-    const Progress* __restrict__ progress, u32 n4, int columns, int bias, int width, float epsilon) {
-  const u32 i = blockIdx.x * 256 + threadIdx.x;
-  if (i >= n4) return;
+// grid (ceil(most rows * columns / 4 / 256), 1, matrices), block 256
+extern "C" __global__ void __launch_bounds__(256) adam(const Place* __restrict__ places, float4* __restrict__ w, const float4* __restrict__ g, float4* __restrict__ first,
+    float4* __restrict__ second, float4* __restrict__ average, const float* __restrict__ scales, const Schedule* __restrict__ schedule,
+    const Progress* __restrict__ progress, float epsilon) {
+  const Place place = places[blockIdx.z];
+  const u32 number = blockIdx.x * 256 + threadIdx.x, wide = place.columns / 4;
+  if (number >= place.rows * wide) return;
   const Schedule& now = schedule[progress->step];
-  const u32 row = i / (columns / 4), column = 4 * (i % (columns / 4));
-  const float scale = scales[2 * (column / width) + ((int)row == bias)];
+  const u32 row = number / wide, column = 4 * (number % wide), i = place.first / 4 + number;
+  const float scale = scales[place.tensor + 2 * (column / place.width) + ((int)row == place.bias)];
   if (scale == 0.0f) return; // a gradient that is not finite tells no direction; the host ends the run
   const float rate = now.rate, correction = now.correction;
   float4 weight = w[i], gradient = g[i], mean = first[i], square = second[i];

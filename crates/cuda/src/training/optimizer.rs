@@ -13,10 +13,15 @@ use crate::{
     kernels::Kernel,
 };
 
+/// Words of a `Place` of the kernels.
+const PLACE: usize = 7;
+
 /// Weights on a device, with what their training needs.
 pub struct Optimizer {
     device: Arc<dyn Device>,
     packing: Packing,
+    /// `Place` of each matrix.
+    places: Buffer,
     clip: f32,
     epsilon: f32,
     pub(crate) weights: Buffer,
@@ -43,7 +48,15 @@ impl Optimizer {
         settings: &Settings,
     ) -> Result<Self> {
         let numbers = |count: usize| device.allocate(4 * count);
+        let place = |matrix: &Matrix| -> [u32; PLACE] {
+            let Matrix { first, rows, columns, bias, width, tensor, .. } = *matrix;
+            [first, rows, columns, bias, width, tensor, matrix.tensors()].map(|n| n as u32)
+        };
+        let all: Vec<_> = packing.matrices().iter().map(place).collect();
+        let places = device.allocate(size_of_val(all.as_slice()))?;
+        device.write(&places, 0, bytemuck::cast_slice(&all))?;
         Ok(Self {
+            places,
             clip: settings.clip,
             epsilon: settings.epsilon,
             weights: numbers(packing.size)?,
@@ -137,64 +150,66 @@ impl Optimizer {
         self.gradients.address().plus(matrix.first)
     }
 
-    /// The gradient by a matrix averaged over the devices, its norms, and what shortens it.
-    pub(crate) fn measure(&self, queue: Queue, matrix: &Matrix) -> Result<()> {
-        let gradient = self.gradient(matrix);
-        // SAFETY: the matrix lies within the gradients.
-        unsafe { self.device.average(queue, gradient, matrix.size()) }?;
-        let tensors = matrix.tensors();
-        let squares = self.squares.address().plus(matrix.tensor * CHUNKS);
+    /// The gradients by these matrices, one behind the other in the network, averaged over the devices, their norms, and what
+    /// shortens them.
+    pub(crate) fn measure(&self, queue: Queue, matrices: &[Matrix]) -> Result<()> {
+        let (Some(first), Some(last)) = (matrices.first(), matrices.last()) else { return Ok(()) };
+        let numbers = last.first + last.size() - first.first;
+        // SAFETY: the matrices lie one behind the other within the gradients.
+        unsafe { self.device.average(queue, self.gradient(first), numbers) }?;
+        let most = |of: fn(&Matrix) -> usize| matrices.iter().map(of).max().unwrap_or_default();
+        // A block has 256 times 4 numbers or more.
+        let chunks = most(Matrix::size).div_ceil(1024).min(CHUNKS);
+        let squares = self.squares.address();
         self.launch(
             queue,
             Kernel::SquaresOfGradient,
-            // A block has 256 times 4 numbers or more.
-            Shape::new(matrix.size().div_ceil(1024).min(CHUNKS), tensors, 256),
-            &[
-                gradient.into(),
-                squares.into(),
-                matrix.columns.into(),
-                matrix.bias.into(),
-                matrix.width.into(),
-            ],
+            Shape {
+                grid: [chunks, most(Matrix::tensors), matrices.len()],
+                ..Shape::new(1, 1, 256)
+            },
+            &[self.place(first).into(), self.gradients.address().into(), squares.into()],
         )?;
+        let tensors = last.tensor + last.tensors() - first.tensor;
         self.launch(
             queue,
             Kernel::Clip,
             Shape::new(tensors, 1, 256),
             &[
-                squares.into(),
-                self.scales.address().plus(matrix.tensor).into(),
-                self.totals.address().plus(matrix.tensor).into(),
+                squares.plus(first.tensor * CHUNKS).into(),
+                self.scales.address().plus(first.tensor).into(),
+                self.totals.address().plus(first.tensor).into(),
                 self.clip.into(),
             ],
         )
     }
 
-    /// Adam for a matrix, once nothing needs the old weights any more.
-    pub(crate) fn change(&self, queue: Queue, matrix: &Matrix, tables: &Tables) -> Result<()> {
-        let at = |buffer: &Buffer| buffer.address().plus(matrix.first);
-        let average = self.average.as_ref().map_or(Address::NULL, at);
-        let quads = matrix.size() / 4;
+    /// Adam for these matrices, as in [`Self::measure`], once nothing needs the old weights any more.
+    pub(crate) fn change(&self, queue: Queue, matrices: &[Matrix], tables: &Tables) -> Result<()> {
+        let Some(first) = matrices.first() else { return Ok(()) };
+        let most = matrices.iter().map(Matrix::size).max().unwrap_or_default();
         self.launch(
             queue,
             Kernel::Adam,
-            Shape::new(quads.div_ceil(256), 1, 256),
+            Shape { grid: [(most / 4).div_ceil(256), 1, matrices.len()], ..Shape::new(1, 1, 256) },
             &[
-                at(&self.weights).into(),
-                at(&self.gradients).into(),
-                at(&self.first).into(),
-                at(&self.second).into(),
-                average.into(),
-                self.scales.address().plus(matrix.tensor).into(),
+                self.place(first).into(),
+                self.weights.address().into(),
+                self.gradients.address().into(),
+                self.first.address().into(),
+                self.second.address().into(),
+                self.average.as_ref().map_or(Address::NULL, Buffer::address).into(),
+                self.scales.address().into(),
                 tables.schedule.address().into(),
                 tables.progress.address().into(),
-                quads.into(),
-                matrix.columns.into(),
-                matrix.bias.into(),
-                matrix.width.into(),
                 self.epsilon.into(),
             ],
         )
+    }
+
+    /// Where the place of a matrix is, before those of the following ones.
+    fn place(&self, matrix: &Matrix) -> Address {
+        self.places.address().plus(matrix.number * PLACE)
     }
 
     /// Ends a step.

@@ -28,6 +28,8 @@ impl Part {
 /// The matrix of a layer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Matrix {
+    /// Its number among the matrices of the network.
+    pub number: usize,
     /// First number within the list of all weights.
     pub first: usize,
     /// Rows, padding included.
@@ -81,7 +83,9 @@ impl Builder {
         let columns = gates * stride;
         let width = columns / parts.len();
         let (first, tensor) = (*size, *tensors);
-        let matrix = Matrix { first, rows, columns, bias, width, tensor, parts, stride, inputs };
+        let number = matrices.len();
+        let matrix =
+            Matrix { number, first, rows, columns, bias, width, tensor, parts, stride, inputs };
         *size = round_up(first + matrix.size(), 64);
         *tensors += matrix.tensors();
         matrices.push(matrix.clone());

@@ -1,5 +1,7 @@
 //! Gradients by the weights, beside the backward pass, and what they change.
 
+use std::slice;
+
 use crate::{
     device::{Address, Queue, Shape},
     error::Result,
@@ -65,7 +67,7 @@ impl Training {
         if queue != Queue::Side {
             self.device.wait(queue, Queue::Side)?;
         }
-        self.optimizer.measure(queue, matrix)
+        self.optimizer.measure(queue, slice::from_ref(matrix))
     }
 
     /// Adam for a matrix, once nothing needs the old weights any more.
@@ -75,6 +77,6 @@ impl Training {
         }
         let queue = self.updates();
         self.device.wait(queue, Queue::Main)?;
-        self.optimizer.change(queue, matrix, &self.tables)
+        self.optimizer.change(queue, slice::from_ref(matrix), &self.tables)
     }
 }

@@ -121,22 +121,24 @@ struct Outer {
   int outputs, stride; // the same of `by`
   int gap;          // numbers left out before the last third of `by`
   int parts;        // threads that share a sum
+  int rows;         // that a block has at a time, of nodes at most LEARN_NODES
+  int begun;        // squares of the matrix that other blocks have
 };
-#define OUTER_ROWS LEARN_NODES
 #define OUTER_THREADS 256
 // parts [B, splits, size] has the sums of so many shares of each window's frames. A thread has a square of 4 x 4 numbers, and
-// behind the matrix four of its bias. grid (B splits, ceil(squares / 256)), block 256, shared memory: OUTER_ROWS rows of both
-extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Plan* __restrict__ plan, Outer o, float* __restrict__ parts, int splits, int size) {
+// behind the matrix four of its bias. grid (B splits, outers), block 256, shared memory: as many rows of both as a block has
+extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Plan* __restrict__ plan, const Outer* __restrict__ outers, float* __restrict__ parts, int splits, int size) {
   DYNAMIC_SHARED(float, shared);
-  __shared__ u32 at_x[OUTER_ROWS * STENCIL], at_by[OUTER_ROWS * CHILDREN];
+  __shared__ u32 at_x[LEARN_NODES * STENCIL], at_by[LEARN_NODES * CHILDREN];
   const Plan& s = *plan;
+  const Outer o = outers[blockIdx.y];
   const int b = blockIdx.x / splits, split = blockIdx.x % splits, frames = frames_of(s);
   const bool of_nodes = o.level >= 0, spread = of_nodes && o.stencil == TO_CHILDREN;
   const int places = of_nodes ? places_of(o.stencil) : 1, targets = spread ? CHILDREN : 1;
   const int inner = places * o.width, columns = targets * o.outputs, x_stride = ODD4(inner), by_stride = ODD4(columns);
   const int wide = columns / 4, squares = (inner / 4 + 1) * wide;
-  float *x = shared, *by = x + OUTER_ROWS * x_stride;
-  const int item = blockIdx.y * OUTER_THREADS + threadIdx.x, own = item % squares, part = item / squares;
+  float *x = shared, *by = x + o.rows * x_stride;
+  const int item = o.begun + threadIdx.x, own = item % squares, part = item / squares;
   const bool is = part < o.parts, is_bias = own / wide * 4 == inner;
   const int i = own / wide * 4, j = own % wide * 4;
   float sums[4][4];
@@ -149,22 +151,25 @@ extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Pl
     const u32 total = of_nodes ? s.totals[sheet * LEVELS + o.level] : particles_of(s, b);
     const size_t x_first = (size_t)sheet * (of_nodes ? s.nodes[source] : (u32)s.most);
     const size_t by_first = (size_t)sheet * (of_nodes ? s.nodes[spread ? o.level - 1 : o.level] : (u32)s.most);
-    for (u32 begin = 0; begin < total; begin += OUTER_ROWS) {
-      const int count = (int)min((u32)OUTER_ROWS, total - begin);
+    for (u32 begin = 0; begin < total; begin += o.rows) {
+      const int count = (int)min((u32)o.rows, total - begin);
       __syncthreads();
-      for (int k = threadIdx.x; k < OUTER_ROWS * places; k += OUTER_THREADS)
-        at_x[k] = k / places >= count ? MISSING : (of_nodes ? node_at(s, sheet, o.stencil, o.level, begin + k / places, k % places) : begin + k);
-      for (int k = threadIdx.x; k < OUTER_ROWS * targets; k += OUTER_THREADS)
-        at_by[k] = k / targets >= count ? MISSING : (spread ? node_at(s, sheet, FROM_CHILDREN, o.level, begin + k / targets, k % targets) : begin + k);
-      __syncthreads();
+      if (of_nodes) {
+        for (int k = threadIdx.x; k < count * places; k += OUTER_THREADS) at_x[k] = node_at(s, sheet, o.stencil, o.level, begin + k / places, k % places);
+        for (int k = threadIdx.x; k < count * targets; k += OUTER_THREADS)
+          at_by[k] = spread ? node_at(s, sheet, FROM_CHILDREN, o.level, begin + k / targets, k % targets) : begin + k;
+        __syncthreads();
+      }
       const int four = o.width / 4, by_four = o.outputs / 4;
-      for (int k = threadIdx.x; k < OUTER_ROWS * places * four; k += OUTER_THREADS) {
-        const u32 row = at_x[k / four];
+#pragma unroll 4
+      for (int k = threadIdx.x; k < count * places * four; k += OUTER_THREADS) {
+        const u32 row = of_nodes ? at_x[k / four] : begin + k / four;
         *(float4*)(x + k / four / places * x_stride + k / four % places * o.width + k % four * 4) =
             row == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : *(const float4*)(o.x + (x_first + row) * o.x_stride + k % four * 4);
       }
-      for (int k = threadIdx.x; k < OUTER_ROWS * targets * by_four; k += OUTER_THREADS) {
-        const u32 row = at_by[k / by_four];
+#pragma unroll 4
+      for (int k = threadIdx.x; k < count * targets * by_four; k += OUTER_THREADS) {
+        const u32 row = of_nodes ? at_by[k / by_four] : begin + k / by_four;
         const int column = k % by_four * 4, skipped = 3 * column >= 2 * o.outputs ? o.gap : 0;
         *(float4*)(by + k / by_four / targets * by_stride + k / by_four % targets * o.outputs + column) =
             row == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : *(const float4*)(o.by + (by_first + row) * o.stride + skipped + column);

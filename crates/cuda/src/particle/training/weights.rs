@@ -7,10 +7,10 @@ use super::{
     plan::Plan,
 };
 use crate::{
-    device::{Argument, Buffer, Device, Queue, Shape},
+    device::{Buffer, Device, Queue, Shape},
     error::{CudaError, Result},
     kernels::Kernel,
-    particle::layout::odd,
+    particle::layout::{ROWS, odd},
     training::{Matrix, Settings},
 };
 
@@ -20,6 +20,10 @@ const BLOCKS: usize = 128;
 const THREADS: usize = 256;
 /// Numbers of a thread.
 const SQUARE: usize = 16;
+/// Rows of particles that a block has at a time: enough to hide the time that memory takes.
+const PARTICLE_ROWS: usize = 128;
+/// Words of an `Outer` of the kernels.
+const WORDS: usize = 16;
 
 /// Where the rows are that a matrix is multiplied by, and the gradients by its products.
 #[derive(Clone, Copy)]
@@ -41,18 +45,57 @@ impl Rows {
         let widths = [x.1, by.1];
         Self { at: [x.0, by.0], widths, strides: widths, nodes: None, gap: 0 }
     }
+
+    /// Adds the blocks of a matrix to the table of all, `nodes` rows at a time where they are of nodes: the shared memory of a
+    /// block (bytes).
+    fn blocks(self, matrix: &Matrix, nodes: usize, table: &mut Vec<[u32; WORDS]>) -> Result<usize> {
+        let (stencil, level) = self.nodes.map_or((0, -1), |(stencil, level)| {
+            (stencil, i32::try_from(level).unwrap_or_default())
+        });
+        let (places, targets, rows) = match self.nodes {
+            Some((stencil, _)) => (PLACES[stencil], TARGETS[stencil], nodes),
+            None => (1, 1, PARTICLE_ROWS),
+        };
+        let [inner, columns] = [places * self.widths[0], targets * self.widths[1]];
+        let squares = (inner / 4 + 1) * (columns / 4);
+        let parts = (THREADS / squares).max(1);
+        let bytes = |rows: usize| {
+            4 * (rows * (odd(inner) + odd(columns))).max((parts - 1) * squares * SQUARE)
+        };
+        let Some(rows) =
+            [rows, 32, 16, ROWS].into_iter().find(|&r| r <= rows && bytes(r) <= MOST_SHARED)
+        else {
+            let setting = format!("a layer of {inner} inputs and {columns} outputs");
+            let expected = "about 2000 inputs at most to train the particle model on a GPU";
+            return Err(CudaError::Unsupported { setting, expected });
+        };
+        for begun in (0..squares * parts).step_by(THREADS) {
+            let mut words = [0; WORDS];
+            words[..4].copy_from_slice(bytemuck::cast_slice(&self.at));
+            let [[width, outputs], [x_stride, stride]] = [self.widths, self.strides];
+            let numbers = [width, x_stride, outputs, stride, self.gap, parts, rows, begun];
+            words[4..7].copy_from_slice(&[matrix.first as u32, stencil as u32, level as u32]);
+            words[7..15].copy_from_slice(&numbers.map(|number| number as u32));
+            table.push(words);
+        }
+        Ok(bytes(rows))
+    }
 }
 
-/// A launch for a matrix.
+/// A launch for several matrices.
 struct Outer {
     shape: Shape,
-    argument: Argument,
+    /// The first one's place in the table.
+    first: usize,
 }
 
 /// The launches for all matrices, and their memory.
 pub(super) struct Outers {
     /// Shares of a window's frames that are summed up on their own.
     splits: usize,
+    /// `Outer` of the kernels for every block along y.
+    table: Buffer,
+    /// Of particles and of nodes: these need much more shared memory.
     all: Vec<Outer>,
     /// `[B, splits, weights]`.
     parts: Buffer,
@@ -71,47 +114,24 @@ impl Outers {
         let Settings { batch, warm_up, unroll, .. } = *settings;
         let splits = BLOCKS.div_ceil(batch).min(warm_up + unroll - 1);
         let pairs = rows(layout, constants, plan, batch * (warm_up + unroll - 1));
-        let all = pairs.into_iter().map(|(matrix, rows)| {
-            let (stencil, level) = rows.nodes.map_or((0, -1), |(stencil, level)| {
-                (stencil, i32::try_from(level).unwrap_or_default())
-            });
-            let (places, targets) = match rows.nodes {
-                Some((stencil, _)) => (PLACES[stencil], TARGETS[stencil]),
-                None => (1, 1),
-            };
-            let [inner, columns] = [places * rows.widths[0], targets * rows.widths[1]];
-            let squares = (inner / 4 + 1) * (columns / 4);
-            let parts = (THREADS / squares).max(1);
-            let tile = constants.nodes * (odd(inner) + odd(columns));
-            let shared = 4 * tile.max((parts - 1) * squares * SQUARE);
-            if shared > MOST_SHARED {
-                let setting = format!("a layer of {inner} inputs and {columns} outputs");
-                let expected = "about 2000 inputs at most to train the particle model on a GPU";
-                return Err(CudaError::Unsupported { setting, expected });
+        let (of_nodes, of_particles): (Vec<_>, Vec<_>) =
+            pairs.into_iter().partition(|(_, rows)| rows.nodes.is_some());
+        let (mut table, mut all) = (Vec::new(), Vec::new());
+        for group in [of_particles, of_nodes].into_iter().filter(|group| !group.is_empty()) {
+            let (first, mut shared) = (table.len(), 0);
+            for (matrix, rows) in group {
+                shared = shared.max(rows.blocks(matrix, constants.nodes, &mut table)?);
             }
-            let [width, outputs] = rows.widths;
-            let [x_stride, stride] = rows.strides;
-            let count = |number: usize| number as i32;
-            let numbers = [
-                count(matrix.first),
-                count(stencil),
-                level,
-                count(width),
-                count(x_stride),
-                count(outputs),
-                count(stride),
-                count(rows.gap),
-                count(parts),
-            ];
-            let mut bytes = bytemuck::cast_slice(&rows.at).to_vec();
-            bytes.extend_from_slice(bytemuck::cast_slice(&numbers));
-            let shape =
-                Shape { shared, ..Shape::new(batch * splits, squares.div_ceil(THREADS), THREADS) };
-            Ok(Outer { shape, argument: Argument::from_bytes(&bytes) })
-        });
+            let shape = Shape::new(batch * splits, table.len() - first, THREADS);
+            all.push(Outer { shape: Shape { shared, ..shape }, first });
+        }
+        let bytes: &[u8] = bytemuck::cast_slice(&table);
+        let buffer = device.allocate(bytes.len())?;
+        device.write(&buffer, 0, bytes)?;
         Ok(Self {
             splits,
-            all: all.collect::<Result<_>>()?,
+            table: buffer,
+            all,
             parts: device.allocate(4 * batch * splits * layout.packing.size)?,
             broken: device.allocate(4 * batch)?,
         })
@@ -188,11 +208,12 @@ impl Training {
     /// The gradients by the weights, and their change.
     pub(super) fn learn(&self) -> Result<()> {
         let (batch, size) = (self.settings.batch, self.layout.packing.size);
-        let Outers { splits, all, parts, broken } = &self.outers;
+        let Outers { splits, table, all, parts, broken } = &self.outers;
         let (parts, ends) = (parts.address(), [(*splits).into(), size.into()]);
-        for Outer { shape, argument } in all {
+        for Outer { shape, first } in all {
             let [splits, size] = ends;
-            let arguments = [self.plan(), *argument, parts.into(), splits, size];
+            let outers = table.address().plus(first * WORDS);
+            let arguments = [self.plan(), outers.into(), parts.into(), splits, size];
             self.launch(Kernel::TrainOuter, *shape, &arguments)?;
         }
         self.device.clear(Queue::Main, broken)?;
@@ -214,10 +235,8 @@ impl Training {
                 size_argument,
             ],
         )?;
-        for matrix in self.layout.packing.matrices() {
-            self.optimizer.measure(Queue::Main, matrix)?;
-            self.optimizer.change(Queue::Main, matrix, &self.tables)?;
-        }
-        Ok(())
+        let matrices = self.layout.packing.matrices();
+        self.optimizer.measure(Queue::Main, matrices)?;
+        self.optimizer.change(Queue::Main, matrices, &self.tables)
     }
 }
