@@ -1,49 +1,47 @@
 //! The command line. What its commands do is in [`crate::commands`].
 
 mod bag;
+mod eval;
 mod examples;
+mod node;
 mod plan;
 mod service;
+mod simulate;
 mod topic;
 mod values;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{
-    Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum,
+    Args, CommandFactory, FromArgMatches, Parser, Subcommand,
     error::{ContextKind, ContextValue, ErrorKind},
 };
 use clap_complete::Shell;
 use regex::Regex;
 
-use crate::commands::{real_time::CpuList, simulate};
 use eddy_bag::Compression;
-use eddy_evaluation::DEFAULT_STARTS;
-use eddy_inference::checkpoint::Rule;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
 use eddy_learning::{
     model::{Architecture, Core, DeviceKind, Precision},
     train::Recipe,
 };
-use eddy_mpm::{Law, ParticleOrder};
-use eddy_node::surrogate::{NodeOptions, PredictOptions};
+use eddy_node::surrogate::PredictOptions;
 use eddy_transport::{Link, ListenAddress, Reliability, TransportKind};
-
-#[cfg(feature = "foxglove")]
-use eddy_transport::FoxgloveAddress;
 
 pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
 };
+pub use eval::{EvalArgs, ReferenceName};
+pub use node::{NodeArgs, RealTimeArgs};
 pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
 pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
 };
-pub use values::ComputeDevice;
-
+pub use simulate::{SceneArgs, SimulateArgs};
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
+pub use values::ComputeDevice;
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Global options";
@@ -254,86 +252,6 @@ pub struct DemoArgs {
     pub force: bool,
 }
 
-/// `eddy simulate`
-#[derive(Debug, Args)]
-pub struct SimulateArgs {
-    #[command(flatten)]
-    pub scenes: SceneArgs,
-    /// Output directory; one bag per scene.
-    #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
-    pub output: Option<PathBuf>,
-    /// Replace the scenes in the output directory; without it, the same command adds those that are missing.
-    #[arg(long, requires = "output")]
-    pub force: bool,
-    /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
-    /// time on /clock of the same transport.
-    #[arg(long, value_name = "LINK", value_parser = Link::from_argument)]
-    pub publish: Option<Link>,
-    /// Simulated time per real time when publishing.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "publish", value_parser = values::positive)]
-    pub rate: f64,
-    /// Wait for N subscribers before the first frame (at most 30 s).
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "publish")]
-    pub wait_for: usize,
-    /// What happens when a subscriber cannot keep up.
-    #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
-    pub reliability: Reliability,
-    /// Number of threads: one per scene, the remaining ones work within the scenes [default: one per scene, at most one
-    /// per core].
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
-}
-
-/// Which scenes to simulate, and where the solver runs.
-#[derive(Debug, Args)]
-pub struct SceneArgs {
-    /// Kind of random scenes, or one of the scenes shipped with eddy.
-    #[arg(long, value_name = "NAME", value_parser = simulate::source::presets(), default_value = "multi-material")]
-    pub preset: String,
-    /// Scene file (TOML); launch_configs/scenes/ has examples.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "scenes", "seed"])]
-    pub scene: Option<PathBuf>,
-    /// Number of random scenes.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
-    pub scenes: u32,
-    /// Seed of random scenes; the same seed gives identical bags.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Particles of a random scene; more particles make the domain wider, at the same spacing and height [default: 2500].
-    #[arg(long, value_name = "N", conflicts_with = "scene")]
-    pub particles: Option<usize>,
-    /// All random scenes have the bodies of the first: the same materials, shapes and places. Only their velocities and the
-    /// attractor differ.
-    #[arg(long, conflicts_with = "scene")]
-    pub same_bodies: bool,
-    /// How the particles of bodies are numbered: body by body, or along a Hilbert curve through their initial positions
-    /// [default: the scene's; bodies].
-    #[arg(long, value_enum, value_name = "ORDER")]
-    pub particle_order: Option<ParticleOrder>,
-    /// Duration of a scene (simulated s) [default: the scene's].
-    #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
-    pub duration: Option<f64>,
-    /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
-    #[arg(long, value_name = "N")]
-    pub substeps: Option<u32>,
-    /// Young's modulus of every material (density x velocity^2) [default: the scene's; 1000, preset stiff 1e5].
-    #[arg(long, value_name = "E")]
-    pub stiffness: Option<f32>,
-    /// Constitutive law of liquids: water, or that of Taichi's mpm128 [default: the scene's; water].
-    #[arg(long, value_enum)]
-    pub law: Option<Law>,
-    /// Kinematic viscosity of water (domain lengths^2/s) [default: the scene's; 0].
-    #[arg(long, value_name = "NU")]
-    pub viscosity: Option<f32>,
-    /// Also record pressure and energy of every particle, as point clouds on /particles/fields.
-    #[arg(long, requires = "output")]
-    pub fields: bool,
-    /// Where the solver runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second. A GPU simulates up to 256 scenes side by
-    /// side, and its results differ from the processor's by rounding.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
-    pub device: ComputeDevice,
-}
-
 /// `eddy record`
 #[derive(Debug, Args)]
 pub struct RecordArgs {
@@ -506,57 +424,6 @@ pub struct TrainArgs {
     pub rendezvous_timeout: f64,
 }
 
-/// `eddy node`
-#[derive(Debug, Args)]
-pub struct NodeArgs {
-    /// Checkpoint of the surrogate [default: the shipped particle model].
-    #[arg(long, value_name = "DIR")]
-    pub checkpoint: Option<PathBuf>,
-    /// Read settings from a TOML file; command-line options override it.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Link to observe, on shm, zenoh or dds, for example dds:/particles, or dds:particles in the namespace of --ros-args
-    /// [default: /particles in that namespace].
-    #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
-    pub input: Option<Link>,
-    /// Link to publish predictions on; may be repeated [default: /prediction in the namespace of --ros-args].
-    #[arg(long, value_name = "LINK", value_parser = Link::parse_of_node)]
-    pub output: Vec<Link>,
-    #[command(flatten)]
-    pub settings: NodeOptions,
-    /// What happens when a subscriber cannot keep up [default: drop].
-    #[arg(long, value_enum)]
-    pub reliability: Option<Reliability>,
-    /// Number of threads for prediction [default: one per core]; on a GPU, of those that copy frames to it and back
-    /// [default: one per core, at most 8].
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
-    /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
-    pub device: ComputeDevice,
-    /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
-    /// [without a value: 127.0.0.1:8080].
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]
-    pub view: Option<ListenAddress>,
-    /// Serve point clouds, status and diagnostics to Foxglove on this port, address or both
-    /// [without a value: 127.0.0.1:8765].
-    #[cfg(feature = "foxglove")]
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
-    pub foxglove: Option<FoxgloveAddress>,
-    /// Also let pages of this origin connect to --foxglove, for example http://localhost:8080; may be repeated
-    /// [default: Foxglove's application only].
-    #[cfg(feature = "foxglove")]
-    #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
-    pub foxglove_origin: Vec<String>,
-    /// Start unconfigured and predict only while a ROS 2 lifecycle manager has the node active (zenoh and dds).
-    #[arg(long)]
-    pub lifecycle: bool,
-    #[command(flatten)]
-    pub real_time: RealTimeArgs,
-    #[command(flatten)]
-    pub ros: RosArgs,
-}
-
 /// `eddy bench`
 #[derive(Debug, Args)]
 pub struct RealTimeBenchArgs {
@@ -564,21 +431,6 @@ pub struct RealTimeBenchArgs {
     pub bench: BenchArgs,
     #[command(flatten)]
     pub real_time: RealTimeArgs,
-}
-
-/// How the operating system treats a process.
-#[derive(Debug, Args)]
-pub struct RealTimeArgs {
-    /// Run on these processors only, for example 2,3 or 4-7.
-    #[arg(long, value_name = "LIST", value_parser = CpuList::parse)]
-    pub cpu: Option<CpuList>,
-    /// Run all threads with this real-time priority (SCHED_FIFO), 1 to 99: before all ordinary processes. Requires the right
-    /// to do so.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
-    pub priority: Option<u8>,
-    /// Keep all memory in RAM: nothing is swapped out. Requires the right to do so.
-    #[arg(long)]
-    pub lock_memory: bool,
 }
 
 /// `eddy predict`
@@ -608,81 +460,4 @@ pub struct PredictArgs {
     /// Where the network runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
     pub device: ComputeDevice,
-}
-
-/// `eddy eval`
-#[derive(Debug, Args)]
-pub struct EvalArgs {
-    /// Checkpoints to evaluate side by side; those that differ only in their training count as seeds of one model.
-    #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
-    pub checkpoint: Vec<PathBuf>,
-    /// Bags, or directories of bags.
-    #[arg(long, value_name = "BAG", required_unless_present = "compare", num_args = 1..)]
-    pub data: Vec<PathBuf>,
-    /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
-    #[arg(long, short, value_name = "DIR", required_unless_present_any = ["compare", "list_starts"])]
-    pub output: Option<PathBuf>,
-    /// Replace an existing report.
-    #[arg(long)]
-    pub force: bool,
-    /// Also evaluate rollouts that another program has recorded, in a bag or a directory of bags: frames on /prediction and,
-    /// for each, its first frame and horizon on /prediction/status, as a node publishes them.
-    #[arg(long, value_name = "NAME=BAG", num_args = 1.., value_parser = recorded)]
-    pub predictions: Vec<(String, PathBuf)>,
-    /// Print the sequence numbers that rollouts start from as JSON and exit.
-    #[arg(long, conflicts_with_all = ["output", "predictions"])]
-    pub list_starts: bool,
-    /// Print all tables of the report, not only the skill.
-    #[arg(long)]
-    pub tables: bool,
-    /// Compare existing reports (directories, or their report.json) of the same data.
-    #[arg(
-        long,
-        value_name = "REPORT",
-        num_args = 2..,
-        conflicts_with_all = [
-            "checkpoint", "data", "predictions", "list_starts", "horizon", "starts", "references", "join_late", "without_rules", "threads", "device"
-        ]
-    )]
-    pub compare: Vec<PathBuf>,
-    /// Frames of each free rollout to compare with the truth; rollouts continue to frame 200 to detect divergence.
-    #[arg(long, value_name = "N", default_value_t = 100)]
-    pub horizon: usize,
-    /// Start frames per stream, evenly spaced over its first 80 %.
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
-    pub starts: usize,
-    /// Reference predictors, started from the same frames; requires manifest.json beside the bags.
-    #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
-    pub references: Vec<ReferenceName>,
-    /// Also evaluate each checkpoint on streams joined in the middle: it observes its warm-up, but no earlier frames.
-    #[arg(long)]
-    pub join_late: bool,
-    /// Evaluate the checkpoints with these rules switched off. Compare the report with one without this option to see the
-    /// effect of the rules.
-    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', num_args = 1..)]
-    pub without_rules: Vec<Rule>,
-    /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
-    /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
-    pub device: ComputeDevice,
-}
-
-/// Name and bag of recorded rollouts.
-fn recorded(text: &str) -> Result<(String, PathBuf), String> {
-    match text.split_once('=') {
-        Some((name, bag)) if !name.is_empty() && !bag.is_empty() => Ok((name.into(), bag.into())),
-        _ => Err(format!("found {text}, expected NAME=BAG")),
-    }
-}
-
-/// A reference predictor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ReferenceName {
-    /// The solver restarted from positions and velocities: unchanged, with half the substeps, and with cells twice as
-    /// wide.
-    Mpm,
-    /// The solver from positions displaced by up to 1e-4: the limit of predictability.
-    Chaos,
 }

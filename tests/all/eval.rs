@@ -350,6 +350,30 @@ fn judge(data: &str, output: &str, horizon: &str) {
 }
 
 #[test]
+fn the_gain_of_a_model_over_the_first_has_an_interval_over_scenes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
+    let scenes = ["--preset", "fluid", "--scenes", "5", "--duration", "0.2", "--output", &data];
+    succeed(["simulate"].iter().chain(&scenes));
+    let stiff = format!("{SHIPPED}-stiff");
+    let mut arguments = vec!["eval", "--checkpoint", SHIPPED, &stiff, "--data", &data];
+    arguments.extend(["--output", &output, "--horizon", "5", "--starts", "2", "--threads", "2"]);
+    let printed = succeed(arguments);
+    assert!(printed.contains("gain over the first model"), "{printed}");
+
+    let report = report(&folder);
+    let [first, second] = [0, 1].map(|number| &report["groups"][number]);
+    assert!(first["gain"].is_null(), "{first}");
+    let number = |value: &Value| value.as_f64().unwrap();
+    let gain = &second["gain"];
+    let expected = number(&second["skill"][4]) - number(&first["skill"][4]);
+    assert!((number(&gain["gain"][4]) - expected).abs() < 1e-6, "{expected}: {gain}");
+    let interval = &gain["gain_intervals"][1];
+    let [lower, upper] = ["lower", "upper"].map(|end| number(&interval[end]));
+    assert!(lower < expected && expected < upper, "{lower} to {upper}: {expected}");
+}
+
+#[test]
 fn reports_of_the_same_data_are_compared_and_what_differs_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let [data, other, a, b, c, html] =

@@ -91,8 +91,11 @@ impl Report {
             let seeds = group.members.len();
             cells.extend(counts(&group.blow_ups, seeds * self.windows));
             cells.push(group.ms.map_or("-".into(), milliseconds));
-            let of_seeds = counted(seeds as u64, "seed");
-            table.row(format!("{}, mean of {of_seeds}", group.name), cells);
+            let name = match &group.members[..] {
+                [one] => one.clone(),
+                _ => format!("{}, mean of {}", group.name, counted(seeds as u64, "seed")),
+            };
+            table.row(name, cells);
             if seeds > 1 {
                 table
                     .detail_row("standard deviation", self.at_shown(spread, |x| format!("{x:.3}")));
@@ -102,10 +105,7 @@ impl Report {
                 table.detail_row("95 % interval over scenes", (0..self.shown.len()).map(at_shown));
             }
             if let Some(Gain { gain, gain_intervals }) = &group.gain {
-                table.detail_row(
-                    format!("gain over {}", self.groups[0].name),
-                    self.at_shown(gain, skill),
-                );
+                table.detail_row("gain over the first model", self.at_shown(gain, skill));
                 let at_shown = |at| between(gain_intervals.as_ref(), at);
                 table.detail_row("95 % interval of the gain", (0..self.shown.len()).map(at_shown));
             }
