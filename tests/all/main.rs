@@ -31,6 +31,7 @@ mod pytorch;
 mod real_time;
 mod record;
 mod reference;
+mod render;
 mod replay;
 mod ros;
 mod scenes;

@@ -258,3 +258,11 @@ impl World {
         self.publisher(transport, name, RosString::TYPE)
     }
 }
+
+/// Names in a directory, sorted.
+pub fn entries(directory: &Path) -> Vec<String> {
+    let names = std::fs::read_dir(directory).unwrap().map(|e| e.unwrap().file_name());
+    let mut names: Vec<String> = names.map(|name| name.into_string().unwrap()).collect();
+    names.sort();
+    names
+}
