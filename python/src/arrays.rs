@@ -1,77 +1,20 @@
 //! NumPy arrays: arguments that are read in place, and results that are views of the library's memory.
-//!
-//! Both through the array interface's struct (<https://numpy.org/doc/stable/reference/arrays.interface.html>), which needs no
-//! bindings of NumPy's own interface in C, and unlike the dictionary of that interface costs less than a microsecond.
 #![expect(unsafe_code, reason = "the memory of NumPy arrays, and arrays of the library's memory")]
 
-use std::{
-    ffi::{c_char, c_int, c_void},
-    fmt::Display,
-    ptr, slice,
-};
+use std::{fmt::Display, slice};
 
+use numpy::{
+    Element, IntoPyArray as _, PyArray, PyArrayDyn, PyArrayMethods as _, PyUntypedArray,
+    PyUntypedArrayMethods as _,
+    ndarray::{Array, ArrayView, ArrayView1, ArrayView2, Dimension, StrideShape},
+};
 use pyo3::{
     exceptions::{PyException, PyTypeError, PyValueError},
-    ffi, intern,
     prelude::*,
-    sync::PyOnceLock,
-    types::{PyCapsule, PyType},
 };
 
 /// The type of ordinary memory in the DLPack protocol (kDLCPU).
 const CPU: i32 = 1;
-
-/// Most axes of a view.
-const MOST_AXES: usize = 4;
-
-/// `PyArrayInterface` of NumPy.
-#[repr(C)]
-struct Interface {
-    /// Always 2.
-    two: c_int,
-    axes: c_int,
-    /// The kind of elements: `f` for floating point, `u` for unsigned integers.
-    kind: c_char,
-    element_bytes: c_int,
-    flags: c_int,
-    shape: *const isize,
-    /// Bytes from an element to the next one along each axis.
-    strides: *const isize,
-    data: *mut c_void,
-    description: *mut ffi::PyObject,
-}
-
-/// Flags of the interface: without gaps in C order, aligned, bytes in the machine's order, may be written.
-const C_ORDER: c_int = 0x1;
-const ALIGNED: c_int = 0x100;
-const NATIVE: c_int = 0x200;
-const WRITEABLE: c_int = 0x400;
-
-/// Types of elements, with their names in NumPy and their kind in the array interface.
-pub(crate) trait Element: Copy + Send + Sync + 'static {
-    const NAME: &str;
-    const KIND: u8;
-}
-
-impl Element for f32 {
-    const NAME: &str = "float32";
-    const KIND: u8 = b'f';
-}
-
-impl Element for f64 {
-    const NAME: &str = "float64";
-    const KIND: u8 = b'f';
-}
-
-impl Element for u8 {
-    const NAME: &str = "uint8";
-    const KIND: u8 = b'u';
-}
-
-impl Element for u64 {
-    const NAME: &str = "uint64";
-    const KIND: u8 = b'u';
-}
 
 /// An argument: an array in C order, whose memory is read in place. Python code that writes to it meanwhile changes the
 /// numbers that are read, nothing else.
@@ -97,18 +40,11 @@ impl<'py, T: Element> Argument<'py, T> {
         expected: &[Option<usize>],
     ) -> PyResult<Self> {
         let array = numpy_array(name, value)?;
-        let capsule = array.getattr(intern!(array.py(), "__array_struct__"))?;
-        let capsule = capsule.cast_into::<PyCapsule>()?;
-        // SAFETY: the capsule of NumPy's own array has this struct, with as many lengths as axes; both live until it is dropped.
-        let (interface, shape) = unsafe {
-            let interface = capsule.pointer_checked(None)?.cast::<Interface>().as_ref();
-            (interface, lengths(interface))
+        let Ok(array) = array.cast::<PyArrayDyn<T>>() else {
+            let expected = T::get_dtype(array.py());
+            return Err(wrong(name, format!("dtype {}", array.dtype()), expected));
         };
-        let element = (interface.kind as u8, interface.element_bytes as usize);
-        if element != (T::KIND, size_of::<T>()) || interface.flags & NATIVE == 0 {
-            let found = array.getattr("dtype")?;
-            return Err(wrong(name, format!("dtype {found}"), T::NAME));
-        }
+        let shape = array.shape().to_vec();
         let fits = shape.len() == expected.len()
             && shape
                 .iter()
@@ -117,15 +53,15 @@ impl<'py, T: Element> Argument<'py, T> {
         if !fits {
             return Err(wrong(name, format!("shape {shape:?}"), pattern(expected)));
         }
-        if interface.flags & C_ORDER == 0 {
+        if !array.is_c_contiguous() {
             let found = "an array with gaps or another order";
             return Err(wrong(name, found, "C order: numpy.ascontiguousarray"));
         }
-        let data = interface.data.cast_const().cast::<T>();
+        let data = array.data().cast_const();
         if !data.is_aligned() {
             return Err(wrong(name, "unaligned memory", "an aligned array: numpy.copy"));
         }
-        Ok(Self { _array: array, shape, data })
+        Ok(Self { _array: array.clone().into_any(), shape, data })
     }
 
     /// Length of each axis.
@@ -151,29 +87,10 @@ impl Argument<'_, f32> {
     }
 }
 
-/// The lengths of an array's axes.
-///
-/// # Safety
-/// The struct is one of NumPy, or has been filled like one.
-unsafe fn lengths(interface: &Interface) -> Vec<usize> {
-    if interface.axes == 0 {
-        return Vec::new(); // the pointer may be null
-    }
-    // SAFETY: guaranteed by the caller.
-    let shape = unsafe { slice::from_raw_parts(interface.shape, interface.axes as usize) };
-    shape.iter().map(|&length| length as usize).collect()
-}
-
-/// NumPy's array of this very type, so that its interface can be trusted, which shares the memory of the value.
-fn numpy_array<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    static NDARRAY: PyOnceLock<Py<PyType>> = PyOnceLock::new();
-    let ndarray = NDARRAY.import(value.py(), "numpy", "ndarray")?;
-    if value.is_exact_instance(ndarray) {
-        return Ok(value.clone());
-    }
-    let numpy = value.py().import("numpy")?;
-    if value.is_instance(ndarray)? {
-        return numpy.call_method1("asarray", (value,));
+/// A NumPy array that shares the memory of the value.
+fn numpy_array<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyUntypedArray>> {
+    if let Ok(array) = value.cast::<PyUntypedArray>() {
+        return Ok(array.clone());
     }
     if !value.hasattr("__dlpack__")? {
         return Err(PyTypeError::new_err(format!(
@@ -193,7 +110,8 @@ fn numpy_array<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py
         let found = format!("memory of a device (DLPack device type {device})");
         return Err(wrong(name, found, "memory of the CPU"));
     }
-    numpy.call_method1("from_dlpack", (value,)).map_err(unshared)
+    let array = value.py().import("numpy")?.call_method1("from_dlpack", (value,));
+    Ok(array.map_err(unshared)?.cast_into()?)
 }
 
 /// `ValueError` in the form of all messages.
@@ -210,94 +128,6 @@ fn pattern(shape: &[Option<usize>]) -> String {
     format!("shape [{}]", shape.iter().map(axis).collect::<Vec<_>>().join(", "))
 }
 
-/// Memory with an array interface: NumPy makes an array of it, which keeps this object and so the owner.
-#[pyclass(frozen, module = "eddy")]
-struct Memory {
-    address: usize,
-    shape: Vec<usize>,
-    kind: u8,
-    element_bytes: usize,
-    read_only: bool,
-    _owner: Py<PyAny>,
-}
-
-/// What a capsule holds: the struct, and the numbers it points to.
-#[repr(C)]
-struct Described {
-    interface: Interface,
-    shape: [isize; MOST_AXES],
-    strides: [isize; MOST_AXES],
-}
-
-#[pymethods]
-impl Memory {
-    #[getter]
-    fn __array_struct__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let mut flags = C_ORDER | ALIGNED | NATIVE;
-        if !self.read_only {
-            flags |= WRITEABLE;
-        }
-        let interface = Interface {
-            two: 2,
-            axes: self.shape.len() as c_int,
-            kind: self.kind as c_char,
-            element_bytes: self.element_bytes as c_int,
-            flags,
-            shape: ptr::null(),
-            strides: ptr::null(),
-            data: self.address as *mut c_void,
-            description: ptr::null_mut(),
-        };
-        let (shape, strides) = ([0; MOST_AXES], [0; MOST_AXES]);
-        let mut described = Box::new(Described { interface, shape, strides });
-        let mut step = self.element_bytes;
-        for axis in (0..self.shape.len()).rev() {
-            described.shape[axis] = self.shape[axis] as isize;
-            described.strides[axis] = step as isize;
-            step *= self.shape[axis];
-        }
-        described.interface.shape = described.shape.as_ptr();
-        described.interface.strides = described.strides.as_ptr();
-        let described = Box::into_raw(described);
-        // SAFETY: NumPy asks for a capsule without a name, which takes the box and gives it back to `free`.
-        unsafe {
-            let capsule = ffi::PyCapsule_New(described.cast(), ptr::null(), Some(free));
-            if capsule.is_null() {
-                drop(Box::from_raw(described));
-            }
-            Bound::from_owned_ptr_or_err(py, capsule)
-        }
-    }
-}
-
-/// Drops what a capsule holds.
-unsafe extern "C" fn free(capsule: *mut ffi::PyObject) {
-    // SAFETY: called once for a capsule of `__array_struct__`.
-    unsafe {
-        let described = ffi::PyCapsule_GetPointer(capsule, ptr::null());
-        drop(Box::from_raw(described.cast::<Described>()));
-    }
-}
-
-impl Memory {
-    /// Values of `owner`, last axis fastest.
-    fn new<T: Element>(
-        values: *const T,
-        shape: Vec<usize>,
-        owner: Py<PyAny>,
-        read_only: bool,
-    ) -> Self {
-        assert!(shape.len() <= MOST_AXES, "at most {MOST_AXES} axes");
-        let (kind, element_bytes) = (T::KIND, size_of::<T>());
-        Self { address: values as usize, shape, kind, element_bytes, read_only, _owner: owner }
-    }
-
-    fn into_array(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
-        static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-        ASARRAY.import(py, "numpy", "asarray")?.call1((Bound::new(py, self)?,))
-    }
-}
-
 /// A read-only array of values that belong to `owner`.
 ///
 /// # Safety
@@ -305,9 +135,9 @@ impl Memory {
 pub(crate) unsafe fn view<'py, T: Element>(
     values: &[T],
     owner: Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyAny>> {
-    let py = owner.py();
-    Memory::new(values.as_ptr(), vec![values.len()], owner.unbind(), true).into_array(py)
+) -> Bound<'py, PyAny> {
+    // SAFETY: guaranteed by the caller.
+    unsafe { read_only(ArrayView1::from(values), owner) }
 }
 
 /// A read-only array `[N, 2]` of values that belong to `owner`.
@@ -317,26 +147,29 @@ pub(crate) unsafe fn view<'py, T: Element>(
 pub(crate) unsafe fn view_pairs<'py>(
     pairs: &[[f32; 2]],
     owner: Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyAny>> {
-    let py = owner.py();
-    let values = pairs.as_flattened().as_ptr();
-    Memory::new(values, vec![pairs.len(), 2], owner.unbind(), true).into_array(py)
+) -> Bound<'py, PyAny> {
+    // SAFETY: guaranteed by the caller.
+    unsafe { read_only(ArrayView2::from(pairs), owner) }
 }
 
-/// Owns the values of an array.
-#[pyclass(frozen, module = "eddy")]
-struct Values {
-    _values: Box<dyn Send + Sync>,
+/// # Safety
+/// As [`view`].
+unsafe fn read_only<'py, T: Element, D: Dimension>(
+    values: ArrayView<'_, T, D>,
+    owner: Bound<'py, PyAny>,
+) -> Bound<'py, PyAny> {
+    // SAFETY: guaranteed by the caller; nobody else has this array yet, and nobody can write to it later.
+    let array = unsafe { PyArray::borrow_from_array(&values, owner) };
+    array.readwrite().make_nonwriteable();
+    array.into_any()
 }
 
 /// A new array that owns `values`; the product of `shape` is their number.
-pub(crate) fn array<T: Element>(
+pub(crate) fn array<T: Element, D: Dimension>(
     py: Python<'_>,
     values: Vec<T>,
-    shape: Vec<usize>,
-) -> PyResult<Bound<'_, PyAny>> {
-    debug_assert_eq!(shape.iter().product::<usize>(), values.len());
-    let address = values.as_ptr();
-    let owner = Py::new(py, Values { _values: Box::new(values) })?.into_any();
-    Memory::new(address, shape, owner, false).into_array(py)
+    shape: impl Into<StrideShape<D>>,
+) -> Bound<'_, PyAny> {
+    let values = Array::from_shape_vec(shape, values).expect("as many values as the shape has");
+    values.into_pyarray(py).into_any()
 }

@@ -70,14 +70,13 @@ impl Bag {
         let Stacked { particles, position, velocity, material, sequence, time } =
             py.detach(read)?;
         let frames = sequence.len();
-        let cube =
-            |pairs: Vec<[f32; 2]>| array(py, pairs.into_flattened(), vec![frames, particles, 2]);
+        let cube = |pairs: Vec<[f32; 2]>| array(py, pairs.into_flattened(), [frames, particles, 2]);
         let arrays = PyDict::new(py);
-        arrays.set_item("position", cube(position)?)?;
-        arrays.set_item("velocity", cube(velocity)?)?;
-        arrays.set_item("material", array(py, material, vec![particles])?)?;
-        arrays.set_item("sequence", array(py, sequence, vec![frames])?)?;
-        arrays.set_item("time", array(py, time, vec![frames])?)?;
+        arrays.set_item("position", cube(position))?;
+        arrays.set_item("velocity", cube(velocity))?;
+        arrays.set_item("material", array(py, material, [particles]))?;
+        arrays.set_item("sequence", array(py, sequence, [frames]))?;
+        arrays.set_item("time", array(py, time, [frames]))?;
         Ok(arrays)
     }
 

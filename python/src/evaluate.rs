@@ -143,5 +143,5 @@ pub(crate) fn skill<'py>(
         .collect();
     let dt = first.dt;
     let skills = py.detach(|| position_skill(&states, truth, predicted, dt, gravity));
-    array(py, skills, vec![horizon])
+    Ok(array(py, skills, [horizon]))
 }

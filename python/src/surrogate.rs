@@ -200,10 +200,10 @@ impl Stream {
             stepper.step_into(&mut lock(&self.hidden), frame, &mut next);
         });
         let pairs = |values: Vec<[f32; 2]>| {
-            let shape = vec![values.len(), 2];
+            let shape = [values.len(), 2];
             array(py, values.into_flattened(), shape)
         };
-        Ok((pairs(next.position)?, pairs(next.velocity)?))
+        Ok((pairs(next.position), pairs(next.velocity)))
     }
 
     /// Observes a frame, then its own predictions: a list of the next `frames` predicted frames.
