@@ -14,8 +14,8 @@ use std::{
 };
 
 use eddy_cuda::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
     Result as DeviceResult,
+    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
     gpu::{Gpu, Precision, list},
     kernels::{Kernel, MATERIALS},
     particle::{Store, StoreWriter, Training, TrainingConstants},
