@@ -3,7 +3,7 @@
 // tensor 2 * part is a weight, 2 * part + 1 its bias. Padding is 0 in weights and gradients. A launch is for one matrix or for
 // several, one behind the other in `places`.
 struct Place {
-  u32 first;          // number of the matrix within all
+  u32 first;          // where its numbers begin within all
   int rows, columns;
   int bias, width;
   int tensor, tensors; // the first one, and how many

@@ -1,4 +1,4 @@
-//! Weights, their gradients, and Adam, which changes them matrix by matrix.
+//! Weights, their gradients, and Adam, which changes one matrix at a time or several.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 

@@ -95,7 +95,7 @@ pub(super) struct Outers {
     splits: usize,
     /// `Outer` of the kernels for every block along y.
     table: Buffer,
-    /// Of particles and of nodes: these need much more shared memory.
+    /// Of particles and of nodes, which take so many rows at a time.
     all: Vec<Outer>,
     /// `[B, splits, weights]`.
     parts: Buffer,
