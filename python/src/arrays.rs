@@ -10,6 +10,7 @@ use numpy::{
 };
 use pyo3::{
     exceptions::{PyException, PyTypeError, PyValueError},
+    intern,
     prelude::*,
 };
 
@@ -135,7 +136,7 @@ fn pattern(shape: &[Option<usize>]) -> String {
 pub(crate) unsafe fn view<'py, T: Element>(
     values: &[T],
     owner: Bound<'py, PyAny>,
-) -> Bound<'py, PyAny> {
+) -> PyResult<Bound<'py, PyAny>> {
     // SAFETY: guaranteed by the caller.
     unsafe { read_only(ArrayView1::from(values), owner) }
 }
@@ -147,7 +148,7 @@ pub(crate) unsafe fn view<'py, T: Element>(
 pub(crate) unsafe fn view_pairs<'py>(
     pairs: &[[f32; 2]],
     owner: Bound<'py, PyAny>,
-) -> Bound<'py, PyAny> {
+) -> PyResult<Bound<'py, PyAny>> {
     // SAFETY: guaranteed by the caller.
     unsafe { read_only(ArrayView2::from(pairs), owner) }
 }
@@ -157,11 +158,12 @@ pub(crate) unsafe fn view_pairs<'py>(
 unsafe fn read_only<'py, T: Element, D: Dimension>(
     values: ArrayView<'_, T, D>,
     owner: Bound<'py, PyAny>,
-) -> Bound<'py, PyAny> {
-    // SAFETY: guaranteed by the caller; nobody else has this array yet, and nobody can write to it later.
-    let array = unsafe { PyArray::borrow_from_array(&values, owner) };
-    array.readwrite().make_nonwriteable();
-    array.into_any()
+) -> PyResult<Bound<'py, PyAny>> {
+    // SAFETY: guaranteed by the caller; nobody can write to the array once Python has it.
+    let array = unsafe { PyArray::borrow_from_array(&values, owner) }.into_any();
+    // Not `readwrite`, which panics while another extension reads an earlier array of the same owner.
+    array.call_method1(intern!(array.py(), "setflags"), (false,))?;
+    Ok(array)
 }
 
 /// A new array that owns `values`; the product of `shape` is their number.

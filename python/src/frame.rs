@@ -61,21 +61,21 @@ impl Frame {
 
     /// Positions, float32 [N, 2] (domain lengths), read-only.
     #[getter]
-    fn position<'py>(slf: &Bound<'py, Self>) -> Bound<'py, PyAny> {
+    fn position<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the positions.
         unsafe { view_pairs(&slf.get().inner.position, slf.clone().into_any()) }
     }
 
     /// Velocities, float32 [N, 2] (domain lengths per second), read-only.
     #[getter]
-    fn velocity<'py>(slf: &Bound<'py, Self>) -> Bound<'py, PyAny> {
+    fn velocity<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the velocities.
         unsafe { view_pairs(&slf.get().inner.velocity, slf.clone().into_any()) }
     }
 
     /// Materials, uint8 [N]: 0 liquid, 1 snow, 2 jelly, 3 rope; read-only.
     #[getter]
-    fn material<'py>(slf: &Bound<'py, Self>) -> Bound<'py, PyAny> {
+    fn material<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the numbers.
         unsafe { view(&slf.get().material, slf.clone().into_any()) }
     }

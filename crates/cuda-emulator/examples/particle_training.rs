@@ -231,7 +231,7 @@ fn once() -> Result<()> {
     Ok(())
 }
 
-/// A GPU that times each launch. It cannot record, so that every step launches its kernels anew.
+/// A GPU that measures the time of each launch. It does not record steps as CUDA graphs, so every step launches every kernel.
 struct Timed {
     gpu: Gpu,
     /// Launches of each kernel, and their time (ms).

@@ -39,9 +39,13 @@ const SEED: u64 = 11;
 /// Streams of two blocks, a few particles each, of different materials and numbers: they fall, turn and spread a little, some
 /// into a wall.
 pub(super) fn streams() -> Vec<Trajectory> {
+    streams_of([[4, 3], [3, 4]])
+}
+
+/// As [`streams`], with so many particles along the sides of each stream's blocks.
+fn streams_of(sizes: [[usize; 2]; 2]) -> Vec<Trajectory> {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let kinds = [[Material::Jelly, Material::Liquid], [Material::Snow, Material::Rope]];
-    let sizes = [[4usize, 3], [3, 4]];
     let stream = |id: usize| {
         let mut places = Vec::new();
         let mut material = Vec::new();
@@ -167,18 +171,17 @@ fn scale<'a>(
 
 /// Steps on the CPU and in the emulator, each from the same weights on the same windows. Where a unit is so close to the bend of
 /// its ReLU that the last bits of the weights decide on its gradient, the gradients may differ by what these bits change.
-fn compare(config: &TrainConfig) {
-    let streams = streams();
+fn compare(config: &TrainConfig, streams: &[Trajectory]) {
     let description = description(config);
     let unroll = config.unroll[0].frames;
-    let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+    let sampler = Sampler::new(streams, &config.windows, unroll).unwrap();
     let mut state = RunState::new(config, &description, DeviceKind::Flex);
     let device = DeviceKind::Flex.device().autodiff();
     state.unroll = unroll;
     let scale = scale(config, &description, &sampler, &mut state);
     let task =
         GradientTask { config, description: &description, scale: &scale, device: DeviceKind::Flex };
-    let mut training = training(config, &description, &streams);
+    let mut training = training(config, &description, streams);
 
     for step in 0..3 {
         let draws = sampler.choose_many(config.windows.batch, &mut state.order);
@@ -239,7 +242,7 @@ fn compare(config: &TrainConfig) {
 #[test]
 fn every_core_of_the_particle_model_takes_the_steps_of_the_cpu() {
     for core in Core::ALL {
-        compare(&config(core));
+        compare(&config(core), &streams());
     }
 }
 
@@ -252,8 +255,17 @@ fn other_forms_and_losses_of_the_particle_model_take_the_steps_of_the_cpu() {
         config.loss.kind = LossKind::Mse;
         config.loss.observed_weight = 0.0;
         config.windows.warm_up = 1;
-        compare(&config);
+        compare(&config, &streams());
     }
+}
+
+/// More particles than a block adds up at a time, and matrices that several blocks share.
+#[test]
+fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
+    let mut config = config(Core::MinGru);
+    config.network.channels = [6, 20, 24];
+    config.windows.batch = 2;
+    compare(&config, &streams_of([[9, 8], [8, 9]]));
 }
 
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.

@@ -63,7 +63,7 @@ impl Rows {
             4 * (rows * (odd(inner) + odd(columns))).max((parts - 1) * squares * SQUARE)
         };
         let Some(rows) =
-            [rows, 32, 16, ROWS].into_iter().find(|&r| r <= rows && bytes(r) <= MOST_SHARED)
+            [rows, 64, 32, 16, ROWS].into_iter().find(|&r| r <= rows && bytes(r) <= MOST_SHARED)
         else {
             let setting = format!("a layer of {inner} inputs and {columns} outputs");
             let expected = "about 2000 inputs at most to train the particle model on a GPU";
@@ -83,7 +83,7 @@ impl Rows {
 }
 
 /// A launch for several matrices.
-struct Outer {
+struct OuterLaunch {
     shape: Shape,
     /// The first one's place in the table.
     first: usize,
@@ -96,7 +96,7 @@ pub(super) struct Outers {
     /// `Outer` of the kernels for every block along y.
     table: Buffer,
     /// Of particles and of nodes, which take so many rows at a time.
-    all: Vec<Outer>,
+    all: Vec<OuterLaunch>,
     /// `[B, splits, weights]`.
     parts: Buffer,
     /// Whether a window's gradient is not finite, `[B]`.
@@ -123,7 +123,7 @@ impl Outers {
                 shared = shared.max(rows.blocks(matrix, constants.nodes, &mut table)?);
             }
             let shape = Shape::new(batch * splits, table.len() - first, THREADS);
-            all.push(Outer { shape: Shape { shared, ..shape }, first });
+            all.push(OuterLaunch { shape: Shape { shared, ..shape }, first });
         }
         let bytes: &[u8] = bytemuck::cast_slice(&table);
         let buffer = device.allocate(bytes.len())?;
@@ -210,7 +210,7 @@ impl Training {
         let (batch, size) = (self.settings.batch, self.layout.packing.size);
         let Outers { splits, table, all, parts, broken } = &self.outers;
         let (parts, ends) = (parts.address(), [(*splits).into(), size.into()]);
-        for Outer { shape, first } in all {
+        for OuterLaunch { shape, first } in all {
             let [splits, size] = ends;
             let outers = table.address().plus(first * WORDS);
             let arguments = [self.plan(), outers.into(), parts.into(), splits, size];

@@ -77,14 +77,14 @@ impl Report {
         }
     }
 
-    /// Models with several seeds, or with intervals over scenes; `None` if it would only repeat the skill of checkpoints.
+    /// Several models or seeds, or intervals over scenes; `None` if it would only repeat the skill of a checkpoint.
     pub(in super::super) fn seed_table(&self) -> Option<Table> {
         let has_intervals = self.groups.iter().any(|group| group.skill.skill_intervals.is_some());
-        if !has_intervals && !self.has_seeds() {
+        if !has_intervals && !self.has_several_checkpoints() {
             return None;
         }
         let mut table =
-            self.frame_table("Skill, mean over seeds", &["blow-ups", "far off", "ms per frame"]);
+            self.frame_table("Skill by model", &["blow-ups", "far off", "ms per frame"]);
         for group in &self.groups {
             let GroupSkill { skill: mean, spread, skill_intervals } = &group.skill;
             let mut cells = self.at_shown(mean, skill);
@@ -106,16 +106,21 @@ impl Report {
             }
             if let Some(Gain { gain, gain_intervals }) = &group.gain {
                 table.detail_row("gain over the first model", self.at_shown(gain, skill));
-                let at_shown = |at| between(gain_intervals.as_ref(), at);
-                table.detail_row("95 % interval of the gain", (0..self.shown.len()).map(at_shown));
+                if gain_intervals.is_some() {
+                    let at_shown = |at| between(gain_intervals.as_ref(), at);
+                    table.detail_row(
+                        "95 % interval of the gain",
+                        (0..self.shown.len()).map(at_shown),
+                    );
+                }
             }
         }
         Some(table)
     }
 
-    /// Whether some checkpoints are seeds of one model.
-    pub(in super::super) fn has_seeds(&self) -> bool {
-        self.groups.iter().any(|group| group.members.len() > 1)
+    /// Whether there are several checkpoints, of one model or of several.
+    pub(in super::super) fn has_several_checkpoints(&self) -> bool {
+        self.groups.iter().map(|group| group.members.len()).sum::<usize>() > 1
     }
 }
 
