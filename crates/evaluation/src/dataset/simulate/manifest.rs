@@ -18,6 +18,8 @@ use eddy_settings::atomic;
 use eddy_storage::{Version, is_remote};
 
 const NAME: &str = "manifest.json";
+/// A manifest on its way to its name.
+const UNFINISHED: &str = "manifest.unfinished";
 /// Maximum number of points of an energy curve.
 const CURVE_POINTS: usize = 33;
 
@@ -208,7 +210,8 @@ impl Manifest {
     pub(super) fn save_entry(&self, scene: &Finished) -> Result<(), SimulateError> {
         let file = entry(&self.output, scene.start.id);
         let (request, scenes) = (self.request.clone(), vec![scene.clone()]);
-        Self { output: PathBuf::new(), version: None, request, scenes }.write(&file)
+        let text = Self { output: PathBuf::new(), version: None, request, scenes }.text(&file)?;
+        atomic::replace(&file, text.as_bytes()).map_err(SimulateError::io("write", &file))
     }
 
     /// Adds a scene, or replaces the one with its id.
@@ -218,13 +221,17 @@ impl Manifest {
         self.scenes.sort_by_key(|scene| scene.start.id);
     }
 
-    /// Replaces the manifest atomically; in a store, unless another process has replaced it.
+    /// Replaces the manifest atomically; in a store, unless another process has replaced it. On a disk the folder of unfinished
+    /// bags must exist: the new manifest is written there, where a killed process leaves nothing that is not removed later.
     pub(super) fn save(&mut self) -> Result<(), SimulateError> {
         let path = path(&self.output);
-        if !is_remote(&path) {
-            return self.write(&path);
-        }
         let text = self.text(&path)?.into_bytes();
+        if !is_remote(&path) {
+            let unfinished = self.output.join(INCOMPLETE).join(UNFINISHED);
+            return atomic::write_synced(&unfinished, &text)
+                .and_then(|()| atomic::rename(&unfinished, &path))
+                .map_err(SimulateError::io("write", &path));
+        }
         match eddy_storage::replace(&path, text, self.version.as_ref()) {
             Ok(version) => self.version = Some(version),
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
@@ -233,10 +240,6 @@ impl Manifest {
             Err(error) => return Err(SimulateError::io("write", &path)(error)),
         }
         Ok(())
-    }
-
-    fn write(&self, path: &Path) -> Result<(), SimulateError> {
-        atomic::replace(path, self.text(path)?.as_bytes()).map_err(SimulateError::io("write", path))
     }
 
     /// JSON with one line per scene, for readability; `path` is the file that it is for.
