@@ -1,6 +1,7 @@
 //! The command line. What its commands do is in [`crate::commands`].
 
 mod bag;
+mod calibrate;
 mod eval;
 mod examples;
 mod node;
@@ -32,6 +33,7 @@ pub use bag::{
     BagArgs, BagCommand, CloudArgs, Color, CutArgs, ExportArgs, FilterArgs, ImportArgs, MergeArgs,
     NewBagArgs, RecoverArgs, RenderArgs,
 };
+pub use calibrate::CalibrateArgs;
 pub use eval::{EvalArgs, ReferenceName};
 pub use node::{NodeArgs, RealTimeArgs};
 pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
@@ -90,6 +92,8 @@ pub enum Command {
     Predict(PredictArgs),
     /// Evaluate checkpoints by free rollouts over bags.
     Eval(EvalArgs),
+    /// Calibrate estimates of a checkpoint's errors by free rollouts over bags.
+    Calibrate(CalibrateArgs),
     /// Run a comparison of the paper: simulate, train, evaluate, report.
     Study(StudyArgs),
     /// Divide a long job into tasks that several machines can share, and run them.

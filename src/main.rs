@@ -77,6 +77,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Train(args) => commands::train::run(args, quiet, &interrupt),
         Command::Node(args) => commands::node::run(args, &ros, rosout.as_ref(), quiet, &interrupt),
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
+        Command::Calibrate(args) => commands::calibrate::run(&args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
         Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
         Command::Plan(args) => commands::plan::run(args, quiet, &interrupt),

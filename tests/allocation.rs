@@ -79,7 +79,7 @@ fn checkpoint(architecture: Architecture, core: Core, pooling: Pooling) -> Check
         let values = (0..length).map(|n| 0.05 * (n as f32).sin()).collect();
         (name, Weights { shape, values })
     });
-    Checkpoint { tensors: tensors.collect(), description }
+    Checkpoint::new(description, tensors.collect())
 }
 
 fn frame(description: &Description) -> Frame {

@@ -9,6 +9,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         "simulate",
         &[
             "eddy simulate --preset kinds --scenes 20 --seed 1 --output bags/mm",
+            "eddy simulate --preset kinds --scenes 96 --seed 2001 --output bags/calibration",
             "eddy simulate --scene launch_configs/scenes/dam_break.toml --output bags/dam",
             "eddy simulate --preset snowball --publish zenoh:/particles",
             "eddy simulate --preset kinds --scenes 400 --device cuda --output bags/gpu",
@@ -53,6 +54,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
             "eddy predict --checkpoint checkpoints/mine --input bags/sample --output bags/ahead --horizon 10",
         ],
     ),
+    ("calibrate", &["eddy calibrate --checkpoint checkpoints/mine --data bags/calibration"]),
     (
         "study",
         &[

@@ -1,6 +1,7 @@
 //! One file per subcommand: connects parts of the library, adds context to errors, prints.
 
 pub mod bag;
+pub mod calibrate;
 pub mod completions;
 pub mod demo;
 pub mod devices;

@@ -61,6 +61,7 @@ impl OutputKind {
                     name,
                     "model.toml"
                         | "model.safetensors"
+                        | "error_model.toml"
                         | "resume.toml"
                         | "resume.safetensors"
                         | "metrics.csv"

@@ -9,6 +9,7 @@ mod bag_commands;
 mod bags;
 mod bench;
 mod book;
+mod calibrate;
 #[path = "../../crates/transport/tests/transport/client.rs"]
 mod client;
 mod documented;

@@ -185,7 +185,7 @@ fn untrained(name: &str, description: Description) {
         let values = vec![0.125; shape.iter().product()];
         (name, Weights { shape, values })
     });
-    let checkpoint = Checkpoint { tensors: tensors.collect(), description };
+    let checkpoint = Checkpoint::new(description, tensors.collect());
     checkpoint.save(folder.path()).unwrap();
     Surrogate::load(&Checkpoint::load(folder.path()).unwrap(), None).unwrap();
     let read = |name: &str| fs::read(folder.path().join(name)).unwrap();

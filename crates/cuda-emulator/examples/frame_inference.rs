@@ -33,8 +33,8 @@ fn main() -> Result<()> {
 fn surrogates(core: Core, pooling: Pooling) -> Result<[Surrogate; 2]> {
     let Problem { description, weights, .. } =
         Problem::new(core, PAPER, true, Settings::plain(1, 2)).with_pooling(pooling);
-    let checkpoint = Checkpoint { description, tensors: weights };
-    let Checkpoint { description, tensors } = &checkpoint;
+    let checkpoint = Checkpoint::new(description, weights);
+    let Checkpoint { description, tensors, .. } = &checkpoint;
     let cache = std::env::temp_dir().join("kernels");
     let gpu = Gpu::new(0, &Constants::of(description)?, Precision::Fp32, Some(&cache))?;
     let streams = Streams::new(Inference::new(Arc::new(gpu), description, tensors)?);

@@ -31,7 +31,7 @@ fn main() -> Result<()> {
 
 /// A checkpoint's network on the GPU.
 fn on_gpu(checkpoint: &Checkpoint) -> Result<Surrogate> {
-    let Checkpoint { description, tensors } = checkpoint;
+    let Checkpoint { description, tensors, .. } = checkpoint;
     let gpu = Gpu::new(0, &Constants::of(description)?, Precision::Fp32, None)?;
     let inference = Inference::new(Arc::new(gpu), description, tensors)?;
     Ok(Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference)))?)
@@ -56,7 +56,7 @@ fn random(shipped: &Description, core: Core) -> Checkpoint {
     for weight in tensors.get_mut("decoder.weight").into_iter().flat_map(|w| &mut w.values) {
         *weight = 0.1 * noise.next();
     }
-    Checkpoint { description, tensors }
+    Checkpoint::new(description, tensors)
 }
 
 /// Scenes side by side, each with four blocks of 25 x 25 particles, one of each material, at rest distance.

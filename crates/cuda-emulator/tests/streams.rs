@@ -60,7 +60,7 @@ fn descriptions() -> impl Strategy<Value = Description> {
 
 /// The network in the emulator.
 fn emulated(checkpoint: &Checkpoint) -> Surrogate {
-    let Checkpoint { description, tensors } = checkpoint;
+    let Checkpoint { description, tensors, .. } = checkpoint;
     let device = Emulator::new(&Constants::of(description).unwrap()).unwrap();
     // More threads than there are by default, which copy parts of a frame.
     let inference = Inference::new(Arc::new(device), description, tensors)

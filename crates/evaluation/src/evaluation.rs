@@ -219,6 +219,9 @@ impl Evaluation {
         for (remark, streams) in counted {
             remarks.push(format!("{remark} ({streams} of {} streams)", selection.streams.len()));
         }
+        for (name, model) in names.iter().zip(&models) {
+            remarks.extend(calibrated_on(name, model, &selection.streams)?);
+        }
         if progress.cancelled() {
             return Err(EvaluationError::Cancelled);
         }
@@ -347,6 +350,23 @@ impl Evaluation {
             EvaluationResults { infos, scenes, costs, data_digest, snapshots, notes, made };
         Report::new(&self.selection.context, results)
     }
+}
+
+/// A remark if the model's error estimates were calibrated on some of the streams.
+fn calibrated_on(
+    name: &str,
+    model: &Surrogate,
+    streams: &[Trajectory],
+) -> Result<Option<String>, DatasetError> {
+    let Some(model) = model.error_model() else { return Ok(None) };
+    let mut known = 0;
+    for stream in streams {
+        known += usize::from(model.seen.contains(&stream.fingerprint()?));
+    }
+    let all = streams.len();
+    Ok((known > 0).then(|| {
+        format!("{name}: its error estimates were calibrated on {known} of the {all} streams")
+    }))
 }
 
 /// Evaluates a single model and the trivial predictors, stream by stream, with all threads of the model. Measures no

@@ -10,7 +10,7 @@
 //! 4. [`measure`]: physical consistency: mass, energy, momentum, area, stretch, blow-ups.
 //! 5. [`scene`]: all predictors on one scene, from the same frames; [`kind`]: the kind of a scene.
 //! 6. [`skill`]: errors relative to the best baseline; [`bootstrap`]: confidence intervals over scenes.
-//! 7. [`cost`]: time per predicted frame.
+//! 7. [`error_estimates`]: estimates of errors, fitted to rollouts, and how well they hold. [`cost`]: time per predicted frame.
 //! 8. [`snapshot`]: frames of a rollout beside the true ones, for pictures.
 //! 9. [`report`]: results as JSON, CSV, tables and a page; comparison of several reports.
 //! 10. [`evaluation`]: from a request (checkpoints, streams) to the report; [`selection`]: the streams that no
@@ -25,12 +25,14 @@ pub mod chaos;
 mod context;
 mod cost;
 pub mod dataset;
+mod error_estimates;
 mod errors;
 mod evaluation;
 mod kind;
 mod linear_fit;
 mod measure;
 mod model_rollout;
+mod normal_equations;
 mod numbers;
 pub mod page;
 pub mod picture;
@@ -52,6 +54,9 @@ mod window;
 pub use baseline::Baseline;
 pub use context::{Context, DEFAULT_STARTS, Settings};
 pub use cost::{Cost, KindCost, time};
+pub use error_estimates::{
+    Bin, Calibration, CalibrationRequest, MIN_STREAMS, Outcome, Reliability, Sample,
+};
 pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};
 pub use kind::Kind;

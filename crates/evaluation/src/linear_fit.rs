@@ -1,6 +1,9 @@
 //! Ten numbers fitted by least squares: the simplest predictor that learns from data.
 
-use crate::dataset::{DatasetError, State, Trajectory};
+use crate::{
+    dataset::{DatasetError, State, Trajectory},
+    normal_equations::solve,
+};
 
 /// Pairs of consecutive frames that a fit uses, at most; they are spread evenly over all streams.
 const PAIRS: usize = 2048;
@@ -76,30 +79,9 @@ impl Sums {
         }
     }
 
-    /// Gaussian elimination with the largest pivot of each column.
     fn solve(self) -> Option<LinearFit> {
-        let Self { mut inputs, mut changes } = self;
-        let largest = inputs.as_flattened().iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        for column in 0..NUMBERS {
-            let rows = column..NUMBERS;
-            let pivot =
-                rows.max_by(|&a, &b| inputs[a][column].abs().total_cmp(&inputs[b][column].abs()))?;
-            if inputs[pivot][column].abs() <= 1e-12 * largest {
-                return None;
-            }
-            inputs.swap(column, pivot);
-            changes.iter_mut().for_each(|change| change.swap(column, pivot));
-            let known = inputs[column];
-            for row in (0..NUMBERS).filter(|&row| row != column) {
-                let factor = inputs[row][column] / known[column];
-                inputs[row].iter_mut().zip(known).for_each(|(x, known)| *x -= factor * known);
-                changes.iter_mut().for_each(|change| change[row] -= factor * change[column]);
-            }
-        }
-        let numbers = |change: [f64; NUMBERS]| {
-            std::array::from_fn(|number| (change[number] / inputs[number][number]) as f32)
-        };
-        Some(LinearFit { rows: changes.map(numbers) })
+        let rows = solve(self.inputs, self.changes)?;
+        Some(LinearFit { rows: rows.map(|row| row.map(|number| number as f32)) })
     }
 }
 

@@ -1,13 +1,13 @@
 //! Rollouts of models: they observe a stream, then predict from their own output.
 
-use super::{Rollout, steps::StepResults, task::RolloutTask};
+use super::{Rollout, error_estimates::Sampler, steps::StepResults, task::RolloutTask};
 use crate::dataset::State;
 use eddy_frames::Frame;
 use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 
 /// Observes a stream from its first frame on, as a node does, and predicts `reach` frames after each of the frames
-/// `starts` from the hidden state there. `each` receives the index of the start and its rollout. Returns the errors of
-/// the one-step predictions over `horizon` frames after each start.
+/// `starts` from the hidden state there. `each` receives the index of the start and its rollout, `sampler` the observed frames
+/// and the rollouts. Returns the errors of the one-step predictions over `horizon` frames after each start.
 ///
 /// A rollout is made before the frames after its start are read, so they cannot leak into it.
 ///
@@ -16,6 +16,7 @@ use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 pub(super) fn roll_out_from_first(
     surrogate: &Surrogate,
     task: &RolloutTask<'_>,
+    sampler: &mut Sampler<'_>,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> Result<StepResults, ModelError> {
     let RolloutTask { stream, starts, reach, .. } = *task;
@@ -23,13 +24,18 @@ pub(super) fn roll_out_from_first(
     let mut stepper = surrogate.stepper();
     let mut hidden = surrogate.start(&stream.frame(0))?;
     let mut ahead = hidden.clone();
+    let mut predicted: Option<Frame> = None;
     let end = starts.last().copied().unwrap_or(0).max(observer.end());
     for index in 0..=end {
-        let frame = stepper.step(&mut hidden, &stream.frame(index));
+        let observed = stream.frame(index);
+        sampler.observe(&observed, predicted.as_ref());
+        let frame = predicted.insert(stepper.step(&mut hidden, &observed));
         if let Some(number) = starts.iter().position(|&start| start == index) {
             ahead.clone_from(&hidden);
             let observed = &stream.states[index];
-            each(number, roll_out(&mut stepper, &mut ahead, observed, frame.clone(), reach));
+            let rollout = roll_out(&mut stepper, &mut ahead, observed, frame.clone(), reach);
+            sampler.add(index, &rollout);
+            each(number, rollout);
         }
         if index + 1 < stream.states.len() {
             observer.add(index, &frame.position, &frame.velocity);
@@ -118,7 +124,8 @@ mod tests {
             horizon: reach,
             reach,
         };
-        roll_out_from_first(&surrogate, &task, &mut keep).unwrap();
+        let mut sampler = Sampler::new(&surrogate, stream, &[]);
+        roll_out_from_first(&surrogate, &task, &mut sampler, &mut keep).unwrap();
         roll_out_joined_late(&surrogate, &task, &mut keep).unwrap();
         rollouts.try_into().unwrap()
     }

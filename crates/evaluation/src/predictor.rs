@@ -1,7 +1,8 @@
 //! Everything that predicts: models, other programs, baselines, reference solvers, and the truth itself.
 
 use super::{
-    Baseline, Context, EvalError, LinearFit, Recorded, Restart, Rollout, chaos,
+    Baseline, Context, EvalError, LinearFit, Outcome, Recorded, Restart, Rollout, chaos,
+    error_estimates::Sampler,
     model_rollout::{roll_out_from_first, roll_out_joined_late},
     steps::StepResults,
     task::RolloutTask,
@@ -37,6 +38,8 @@ pub enum Predictor<'a> {
 pub(super) struct RolloutOutcome {
     /// One-step predictions, for predictors that make them.
     pub(super) step_results: Option<StepResults>,
+    /// Estimates of the errors of the rollouts, for models that make them.
+    pub(super) estimates: Vec<Outcome>,
     /// Why rollouts failed.
     pub(super) failure: Option<String>,
 }
@@ -53,10 +56,16 @@ impl Predictor<'_> {
         let model_error = |reason: ModelError| EvalError::Model { stream: stream.id, reason };
         let solver_error = |reason: MpmError| EvalError::Solver { stream: stream.id, reason };
         let scene = || task.scene.ok_or(EvalError::NoScene { stream: stream.id });
-        let mut failure = None;
+        let (mut failure, mut estimates) = (None, Vec::new());
         let step_results = match *self {
             Self::Model(surrogate) => {
-                Some(roll_out_from_first(surrogate, task, each).map_err(model_error)?)
+                let calibrated = surrogate.error_model().map_or(&[][..], |model| &model.horizons);
+                let horizons: Vec<u32> = calibrated.iter().map(|at| at.frames).collect();
+                let mut sampler = Sampler::new(surrogate, stream, &horizons);
+                let steps = roll_out_from_first(surrogate, task, &mut sampler, each);
+                let outcome = |sample| calibrated.iter().find_map(|at| Outcome::new(at, sample));
+                estimates = sampler.finish().iter().filter_map(outcome).collect();
+                Some(steps.map_err(model_error)?)
             }
             Self::JoinedLate(surrogate) => {
                 roll_out_joined_late(surrogate, task, each).map_err(model_error)?;
@@ -95,7 +104,8 @@ impl Predictor<'_> {
             }
             Self::Truth => Some(roll_out_truth(task, each)),
         };
-        Ok(RolloutOutcome { step_results, failure: failure.map(|reason| reason.to_string()) })
+        let failure = failure.map(|reason| reason.to_string());
+        Ok(RolloutOutcome { step_results, estimates, failure })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Evaluation of one scene: every predictor from the same frames.
 
 use super::{
-    Context, ErrorSums, EvalError, Kind, Predictor, Rollout,
+    Context, ErrorSums, EvalError, Kind, Outcome, Predictor, Rollout,
     measure::{
         BlowUps, Bulk, FlightSums, Flights, Physics, RestGeometry, SHOWN_FRAMES, TruthWindow,
         energy_limit,
@@ -23,6 +23,8 @@ pub struct Accumulator {
     pub steps: Option<StepSums>,
     /// Errors of one-step predictions of bodies in free flight.
     pub flight: FlightSums,
+    /// Estimates of the errors of the rollouts, for models that make them.
+    pub estimates: Vec<Outcome>,
     /// Physical measures at each of [`SHOWN_FRAMES`] within the horizon; empty if not requested.
     pub physics: Vec<Physics>,
     /// Bulk quantities at each frame ahead; empty if not requested.
@@ -45,6 +47,7 @@ impl Accumulator {
             errors: ErrorSums::new(context.settings.horizon, context.units),
             steps: None,
             flight: FlightSums::default(),
+            estimates: Vec::new(),
             physics: vec![Physics::default(); measured(shown)],
             bulk: vec![Bulk::default(); measured(context.settings.horizon)],
             windows: 0,
@@ -62,6 +65,7 @@ impl Accumulator {
             (Some(_), None) => {}
         }
         self.flight.merge(&other.flight);
+        self.estimates.extend(&other.estimates);
         self.physics.iter_mut().zip(&other.physics).for_each(|(sum, other)| sum.merge(other));
         self.bulk.iter_mut().zip(&other.bulk).for_each(|(sum, other)| sum.merge(other));
         self.windows += other.windows;
@@ -152,9 +156,9 @@ pub fn evaluate_scene(
             accumulator.windows += 1;
             window.count_blow_ups(&rollout, &mut accumulator.blow_ups);
         };
-        let RolloutOutcome { step_results, failure } =
+        let RolloutOutcome { step_results, estimates, failure } =
             predictor.roll_out(context, &task, &mut add)?;
-        accumulator.failure = failure;
+        (accumulator.estimates, accumulator.failure) = (estimates, failure);
         if let Some(StepResults { steps, flight }) = step_results {
             (accumulator.steps, accumulator.flight) = (steps, flight);
         }

@@ -6,7 +6,9 @@ use super::{
     curves::{BulkCurves, Curves, StepCurves},
     measures::{Flight, Measures},
 };
-use crate::{Accumulator, BlowUps, Context, Cost, Interval, Kind, SceneResult, Skills, numbers};
+use crate::{
+    Accumulator, BlowUps, Context, Cost, Interval, Kind, Reliability, SceneResult, Skills, numbers,
+};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::Description;
 
@@ -93,6 +95,9 @@ pub struct Entry {
     pub measures: Vec<Measures>,
     /// Errors of bodies in free flight, if the predictor makes one-step predictions of them.
     pub flight: Option<Flight>,
+    /// How well the estimates of its errors hold, for models that make them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reliability: Vec<Reliability>,
     /// By kind of scene.
     pub kinds: Vec<KindEntry>,
     /// By material of the particle, over all scenes.
@@ -171,6 +176,7 @@ impl Entry {
             bulk: BulkCurves::new(&all.bulk),
             measures: measures(&all, shown),
             flight: Flight::new(&all.flight),
+            reliability: Reliability::by_horizon(&all.estimates),
             kinds,
             materials: materials.collect(),
             cost,

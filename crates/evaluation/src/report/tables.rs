@@ -54,6 +54,9 @@ impl Report {
         if self.has_costs() {
             tables.push(self.cost_table());
         }
+        if self.has_estimates() {
+            tables.push(self.reliability_table());
+        }
         let tables = tables.iter().map(|table| format!("{}\n", table.framed(columns)));
         tables.chain(self.notes.iter().map(|note| format!("{note}\n"))).collect()
     }

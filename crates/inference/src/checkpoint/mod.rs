@@ -1,11 +1,12 @@
 //! Checkpoints: a trained network on disk, readable without the library that trained it.
 //!
-//! A checkpoint is a directory with two files:
+//! A checkpoint is a directory with two files, and a third one if it was calibrated:
 //!
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
 //!    that correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32 in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
 //!    derives from the description.
+//! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
 //! `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
 //! calls leaves a complete checkpoint, the old one or the new one.
@@ -34,6 +35,8 @@ use std::{collections::BTreeMap, path::Path};
 
 use sha2::{Digest, Sha256};
 
+use crate::error_model::{self, ERROR_MODEL_FILE, ErrorModel};
+
 /// A trained network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
@@ -41,6 +44,8 @@ pub struct Checkpoint {
     pub description: Description,
     /// The weights by name, as [`tensor_shapes`] lists them.
     pub tensors: BTreeMap<String, Weights>,
+    /// Estimates of its error, if it was calibrated.
+    pub error_model: Option<ErrorModel>,
 }
 
 /// One tensor of weights.
@@ -53,6 +58,11 @@ pub struct Weights {
 }
 
 impl Checkpoint {
+    /// A checkpoint that was not calibrated.
+    pub fn new(description: Description, tensors: BTreeMap<String, Weights>) -> Self {
+        Self { description, tensors, error_model: None }
+    }
+
     /// Writes the checkpoint to `directory`, which is created if necessary. An existing checkpoint is replaced atomically: a
     /// crash leaves the old one or the new one.
     ///
@@ -60,7 +70,8 @@ impl Checkpoint {
     /// [`CheckpointError::Write`] if a file cannot be written, and the errors of [`Checkpoint::check`].
     pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
         self.check(directory)?;
-        files::write(directory, &self.render_description(), &self.render_weights())
+        files::write(directory, &self.render_description(), &self.render_weights())?;
+        self.error_model.as_ref().map_or(Ok(()), |model| model.save(directory))
     }
 
     /// Reads the checkpoint in `directory`.
@@ -69,6 +80,15 @@ impl Checkpoint {
     /// [`CheckpointError`]: a file cannot be read or is damaged, the format version is not supported, a key of the description
     /// is unknown or missing, or the weights do not match the description.
     pub fn load(directory: &Path) -> Result<Self, CheckpointError> {
+        let error_model = error_model::load(directory)?;
+        Ok(Self { error_model, ..Self::load_uncalibrated(directory)? })
+    }
+
+    /// Reads the checkpoint in `directory` without its error model.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::load`].
+    pub fn load_uncalibrated(directory: &Path) -> Result<Self, CheckpointError> {
         let (description, weights) = files::read(directory)?;
         Self::parse(directory, &description, &weights)
     }
@@ -78,11 +98,17 @@ impl Checkpoint {
     /// # Errors
     /// As [`Checkpoint::load`], but only in a broken build: a test loads it.
     pub fn shipped() -> Result<Self, CheckpointError> {
-        Self::parse(
-            "checkpoints/particle-mingru".as_ref(),
+        let directory = Path::new("checkpoints/particle-mingru");
+        let checkpoint = Self::parse(
+            directory,
             include_str!("../../checkpoints/particle-mingru/model.toml"),
             include_bytes!("../../checkpoints/particle-mingru/model.safetensors"),
-        )
+        )?;
+        let error_model = error_model::parse(
+            &directory.join(ERROR_MODEL_FILE),
+            include_str!("../../checkpoints/particle-mingru/error_model.toml"),
+        )?;
+        Ok(Self { error_model: Some(error_model), ..checkpoint })
     }
 
     /// The checkpoint at `path`, by default [`Checkpoint::shipped`].
@@ -93,7 +119,7 @@ impl Checkpoint {
         path.map_or_else(Self::shipped, Self::load)
     }
 
-    /// Parses the contents of the two files; errors name `directory`.
+    /// Parses the contents of the first two files; errors name `directory`.
     ///
     /// # Errors
     /// As [`Checkpoint::load`].
@@ -104,7 +130,7 @@ impl Checkpoint {
     ) -> Result<Self, CheckpointError> {
         let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
         let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
-        let checkpoint = Self { description, tensors };
+        let checkpoint = Self::new(description, tensors);
         checkpoint.check(directory)?;
         Ok(checkpoint)
     }
@@ -120,7 +146,7 @@ impl Checkpoint {
         layout::check(&directory.join(WEIGHTS_FILE), &self.description, &self.tensors)
     }
 
-    /// SHA-256, hexadecimal, of both files as [`Checkpoint::save`] writes them (`cat model.toml model.safetensors | sha256sum`).
+    /// SHA-256, hexadecimal, of description and weights as [`Checkpoint::save`] writes them (`cat model.toml model.safetensors | sha256sum`).
     /// It is not cached and reads all weights.
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();

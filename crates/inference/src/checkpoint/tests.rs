@@ -49,7 +49,7 @@ fn checkpoint() -> Checkpoint {
         (name, Weights { shape, values })
     });
     let tensors: BTreeMap<_, _> = tensors.collect();
-    Checkpoint { description, tensors }
+    Checkpoint::new(description, tensors)
 }
 
 /// Saves a checkpoint, changes a file, and returns the error message on loading.
@@ -210,6 +210,11 @@ fn a_writer_killed_between_the_renames_leaves_the_new_checkpoint() {
 #[test]
 fn the_shipped_model_is_a_trained_particle_model() {
     let shipped = Checkpoint::shipped().unwrap();
+    let error_model = shipped.error_model.as_ref().unwrap();
+    assert_eq!(error_model.checkpoint, shipped.digest());
+    assert!(
+        error_model.seen.iter().all(|stream| !shipped.description.training.seen.contains(stream))
+    );
     let training = &shipped.description.training;
     assert_eq!(shipped.description.architecture, Architecture::Particle);
     assert!(training.command.starts_with("eddy train"), "{training:?}");

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
+    error_model::{ERROR_MODEL_FILE, ErrorModel},
     kernels::rest_shape::RestShape,
 };
 use eddy_frames::{Domain, Frame, FrameView, Stamp};
@@ -47,6 +48,7 @@ const SPEED_FACTOR: f32 = 2.0;
 pub struct Surrogate {
     description: Description,
     digest: String,
+    error_model: Option<Arc<ErrorModel>>,
     network: Arc<Network>,
     threads: usize,
 }
@@ -76,19 +78,14 @@ impl Surrogate {
         checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MAX_THREADS);
-        let Checkpoint { description, tensors } = checkpoint;
+        let Checkpoint { description, tensors, .. } = checkpoint;
         let network = match description.architecture {
             Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
             Architecture::Particle => {
                 Network::Particle(ParticleModel::pack(arch, description, tensors))
             }
         };
-        Ok(Self {
-            description: description.clone(),
-            digest: checkpoint.digest(),
-            network: Arc::new(network),
-            threads,
-        })
+        Ok(Self::new(checkpoint, network, threads))
     }
 
     /// The checkpoint's network on a device that has its weights.
@@ -100,12 +97,29 @@ impl Surrogate {
         device: Arc<dyn Accelerator>,
     ) -> Result<Self, ModelError> {
         checkpoint.check("checkpoint".as_ref())?;
-        Ok(Self {
+        Ok(Self::new(checkpoint, Network::Device(device), 1))
+    }
+
+    fn new(checkpoint: &Checkpoint, network: Network, threads: usize) -> Self {
+        let digest = checkpoint.digest();
+        let error_model = checkpoint.error_model.clone().filter(|model| {
+            let is_its_own = model.checkpoint == digest;
+            if !is_its_own {
+                tracing::warn!(
+                    "{ERROR_MODEL_FILE}: calibrated for checkpoint {:.12}, not {digest:.12}: errors are not estimated; \
+                     `eddy calibrate` makes a new one",
+                    model.checkpoint
+                );
+            }
+            is_its_own
+        });
+        Self {
             description: checkpoint.description.clone(),
-            digest: checkpoint.digest(),
-            network: Arc::new(Network::Device(device)),
-            threads: 1,
-        })
+            digest,
+            error_model: error_model.map(Arc::new),
+            network: Arc::new(network),
+            threads,
+        }
     }
 
     /// A stepper of this network, with threads of its own.
@@ -130,6 +144,11 @@ impl Surrogate {
     /// The checkpoint's digest, [`Checkpoint::digest`].
     pub fn digest(&self) -> &str {
         &self.digest
+    }
+
+    /// Calibrated estimates of its error, if the checkpoint has them.
+    pub fn error_model(&self) -> Option<&ErrorModel> {
+        self.error_model.as_deref()
     }
 
     /// Checks that the network can predict such a frame.

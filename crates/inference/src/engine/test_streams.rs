@@ -42,7 +42,7 @@ pub(super) fn checkpoint(description: Description, seed: u64) -> Checkpoint {
             }
         }
     }
-    Checkpoint { description, tensors }
+    Checkpoint::new(description, tensors)
 }
 
 /// Particles at random places in every frame, some at walls and beyond.

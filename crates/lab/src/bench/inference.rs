@@ -65,7 +65,7 @@ impl Case {
         let description = Description::untrained(Architecture::Frame, core, sizes);
         let frame = frame_for(&description, particles);
         Self {
-            checkpoint: Checkpoint { tensors: initial_weights(&description, 1), description },
+            checkpoint: Checkpoint::new(description.clone(), initial_weights(&description, 1)),
             frame,
         }
     }

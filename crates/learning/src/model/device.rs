@@ -345,7 +345,7 @@ pub fn load_on_gpu(
     threads: Option<NonZeroUsize>,
     number: usize,
 ) -> Result<Surrogate, ModelError> {
-    let Checkpoint { description, tensors } = checkpoint;
+    let Checkpoint { description, tensors, .. } = checkpoint;
     let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
         Ok(match description.architecture {
             Architecture::Frame => {

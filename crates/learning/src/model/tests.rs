@@ -121,8 +121,7 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
     let frames = frames(9);
     for (architecture, core) in every_network() {
         let description = description(architecture, core);
-        let checkpoint =
-            Checkpoint { tensors: weights(&description, 1), description: description.clone() };
+        let checkpoint = Checkpoint::new(description.clone(), weights(&description, 1));
         let device = DeviceKind::Flex.device();
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
         let fixed = fixed(&description, &frames[..1], &device);
@@ -156,7 +155,7 @@ fn flex_and_ndarray_agree() {
     let frames = frames(6);
     for (architecture, core) in every_network() {
         let description = description(architecture, core);
-        let checkpoint = Checkpoint { tensors: weights(&description, 2), description };
+        let checkpoint = Checkpoint::new(description.clone(), weights(&description, 2));
         let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
             let reference = Reference::load(&checkpoint, device).unwrap();
             let mut hidden = reference.start(&frames[0]);
@@ -307,7 +306,7 @@ proptest! {
 #[test]
 fn an_untrained_particle_model_is_the_ballistic_step() {
     let description = description(Architecture::Particle, Core::MinGru);
-    let checkpoint = Checkpoint { tensors: initial_weights(&description, 5), description };
+    let checkpoint = Checkpoint::new(description.clone(), initial_weights(&description, 5));
     let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
     let frames = frames(3);
     let mut hidden = reference.start(&frames[0]);

@@ -295,7 +295,7 @@ fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
             let tensors = state.tensors(&description);
-            let checkpoint = Checkpoint { description: description.clone(), tensors };
+            let checkpoint = Checkpoint::new(description.clone(), tensors);
             let found = learner.surrogate(&checkpoint).unwrap();
             let expected = Surrogate::load(&checkpoint, None).unwrap();
             let first = streams[0].cut(0..1).unwrap().frame(0);

@@ -143,7 +143,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
         common: Vec::new(),
     };
     let weights = random_weights(&description);
-    let checkpoint = Checkpoint { description: description.clone(), tensors: weights.clone() };
+    let checkpoint = Checkpoint::new(description.clone(), weights.clone());
     let mut state = RunState::new(config, &checkpoint.description, DeviceKind::Flex);
     state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
     state.unroll = unroll;
@@ -302,7 +302,7 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let weights = random_weights(&description);
     let checkpoint = |state: &RunState| {
         let tensors = state.tensors(&description);
-        Checkpoint { description: description.clone(), tensors }
+        Checkpoint::new(description.clone(), tensors)
     };
     let run = |open: &dyn Fn() -> Learner| {
         let mut state = RunState::new(&config, &description, DeviceKind::Flex);

@@ -286,7 +286,7 @@ fn tensors(
     // The checkpoint contains the running average of the weights.
     let mut averaged = Layers::new(description, &last.tensors, &device);
     averaged.exchange(|tensor, values| adam.moments[tensor].average = values.to_vec());
-    let weights = Checkpoint { description: last.description.clone(), tensors: weights };
+    let weights = Checkpoint::new(last.description.clone(), weights);
     weights.check(&file)?;
     Ok((Network::new(description, &weights.tensors, &device), adam))
 }

@@ -277,7 +277,7 @@ impl Trainer<'_> {
         let begun = monitor.elapsed();
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
-        let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
+        let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
         let surrogate = learner.surrogate(&checkpoint)?;
         let loaded = monitor.elapsed();
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
@@ -360,7 +360,7 @@ impl Trainer<'_> {
             self.save_best()?;
         }
         let tensors = self.state.tensors(self.description);
-        let mut checkpoint = Checkpoint { description: self.description.clone(), tensors };
+        let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
         epoch.summarize(&mut checkpoint.description.training);
         let now = self.monitor.elapsed();
         let seconds = self.state.seconds + now.as_secs_f64();

@@ -46,7 +46,7 @@ fn checkpoint() -> Checkpoint {
     for (index, weight) in decoder.values.iter_mut().enumerate() {
         *weight = 0.1 * (index as f32).sin();
     }
-    Checkpoint { description, tensors }
+    Checkpoint::new(description, tensors)
 }
 
 fn node(settings: NodeSettings) -> SurrogateNode {

@@ -7,7 +7,8 @@
 //! 5. `pictures`: pictures of rollouts (Fig. 7).
 //! 6. `kinds`: results by kind of scene and by material.
 //! 7. `cost`: time per frame.
-//! 8. `reproduce`: command, data and settings.
+//! 8. `reliability`: how well estimates of errors hold.
+//! 9. `reproduce`: command, data and settings.
 
 mod cost;
 mod errors;
@@ -15,6 +16,7 @@ mod kinds;
 mod paper;
 mod physics;
 mod pictures;
+mod reliability;
 mod reproduce;
 mod summary;
 
@@ -59,6 +61,9 @@ impl Report {
         if self.has_costs() {
             self.cost(page.section("Inference time"));
         }
+        if self.has_estimates() {
+            self.reliability(page.section("Estimates of the error"));
+        }
         self.reproduce(page.section("Reproduce"));
         Ok(page)
     }
@@ -93,6 +98,11 @@ impl Report {
     /// Whether predictors were timed.
     pub(super) fn has_costs(&self) -> bool {
         self.predictors.iter().any(|entry| entry.cost.is_some())
+    }
+
+    /// Whether a model estimates its errors.
+    pub(super) fn has_estimates(&self) -> bool {
+        self.predictors.iter().any(|entry| !entry.reliability.is_empty())
     }
 
     /// A table with a column for each frame shown, followed by others.

@@ -168,7 +168,7 @@ pub(super) enum Validation {
 impl Validation {
     pub(super) fn new(
         device: &Arc<dyn Device>,
-        Checkpoint { description, tensors }: &Checkpoint,
+        Checkpoint { description, tensors, .. }: &Checkpoint,
     ) -> Result<Self, TrainError> {
         let device = Arc::clone(device);
         Ok(match description.architecture {

@@ -39,7 +39,7 @@ fn checkpoint() -> Checkpoint {
     {
         *weight = 0.1 * (index as f32).sin();
     }
-    Checkpoint { description, tensors }
+    Checkpoint::new(description, tensors)
 }
 
 /// The engine in the place of a device.
