@@ -293,6 +293,7 @@ impl Node {
             match value.kind() {
                 Ok(ParameterKind::Bool) => entries.set_item(spec.name, value.bool_value)?,
                 Ok(ParameterKind::Integer) => entries.set_item(spec.name, value.integer_value)?,
+                Ok(ParameterKind::Double) => entries.set_item(spec.name, value.double_value)?,
                 _ => entries.set_item(spec.name, value.string_value)?,
             }
         }

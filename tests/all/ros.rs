@@ -108,6 +108,28 @@ robot1/predictor: {ros__parameters: {publish: all}}";
 }
 
 #[test]
+fn diagnostics_warn_of_a_stream_whose_error_is_expected_to_be_large() {
+    let world = World::new("ros");
+    let mut diagnostics = world.subscriber("shm", "diagnostics", DiagnosticArray::TYPE);
+    let mut truth = world.publisher("shm", "particles", ParticleFrame::TYPE);
+    let parameters = ["-p", "horizon:=20", "-p", "max_expected_error:=0.00001"];
+    let mut node = world.start(&parameters);
+    for frame in &frames() {
+        truth.publish_frame(frame).unwrap();
+    }
+    let warning = wait_for("an expected error is reported", || {
+        let status = receive::<DiagnosticArray>(&mut *diagnostics).status.remove(0);
+        status.values.iter().any(|v| v.key.starts_with("largest expected error")).then_some(status)
+    });
+    assert_eq!(warning.level, 1, "{warning:?}");
+    let words =
+        ["the error 20 frames ahead is expected to be ", "above max_expected_error 0.00001"];
+    assert!(words.iter().all(|word| warning.message.contains(word)), "{}", warning.message);
+    node.interrupt();
+    assert!(node.wait().success());
+}
+
+#[test]
 fn without_links_topics_are_in_the_namespace() {
     let domain = domain().to_string();
     let mut command = talking_eddy();

@@ -17,6 +17,8 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("--scenes 400", "--scenes 5", "one of each kind"),
     ("--scenes 96", "--scenes 5", "one of each kind"),
     ("--scenes 10 ", "--scenes 5 ", "one of each kind"),
+    ("--scenes 5 --seed 2001", "--scenes 10 --seed 2001", "the fewest for a calibration"),
+    ("eddy calibrate", "eddy calibrate --horizon 20", "the scenes are short"),
     ("--scenes 20", "--scenes 5", "one of each kind"),
     ("eddy train --data", "eddy train --config quick.toml --data", "a few windows an epoch"),
     ("--epochs 40", "--epochs 1", "one epoch"),

@@ -2,7 +2,10 @@
 
 use std::fs;
 
-use eddy_inference::checkpoint::{Checkpoint, tensor_shapes};
+use eddy_inference::{
+    checkpoint::{Checkpoint, tensor_shapes},
+    error_model::{FEATURES, LEVELS},
+};
 use eddy_learning::model::{Architecture, Core};
 use eddy_messages::{
     built_in_types,
@@ -115,6 +118,10 @@ pub fn checkpoint() -> String {
         "crates/inference/src/checkpoint/rules.rs",
         "crates/frames/src/lib.rs",
     ]);
+    let error_model = Source::of(&[
+        "crates/inference/src/error_model/mod.rs",
+        "crates/inference/src/error_model/regression.rs",
+    ]);
     let shipped = Checkpoint::shipped().unwrap();
     let mut keys = rows(&source, source.item("Description"), "");
     let version = shipped.description.format_version;
@@ -124,10 +131,18 @@ pub fn checkpoint() -> String {
     );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, the description of the network, and `model.safetensors`, its weights: f32, in \
-         PyTorch's layout [out, in]. The digest covers both files.\n\n## model.toml\n\nEach table below `rules` is a rule that \
+         PyTorch's layout [out, in]. The digest covers both files. `error_model.toml`, if `eddy calibrate` has made one, changes no \
+         prediction and is not covered.\n\n## model.toml\n\nEach table below `rules` is a rule that \
          corrects predictions of the particle model; a missing table switches its rule off \
-         ([what each rule is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}",
-        table(&keys)
+         ([what each rule is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}\n## error_model.toml\n\n\
+         [Estimates of the model's errors](../how-to/error_estimates.md). A linear function has a weight for each of these features: \
+         natural logarithms of mean squares over the particles (domain lengths squared) of the position errors of recent one-step \
+         predictions, of recent departures of the truth from a ballistic step, of the distance of the prediction from a ballistic \
+         extrapolation of the last observed frame, and of its distance from that frame; the shares of liquid, snow and jelly.\n\n{}",
+        table(&keys),
+        table(&rows(&error_model, error_model.item("ErrorModel"), ""))
+            .replace("FEATURES of", &format!("{FEATURES} of"))
+            .replace("LEVELS.len() of", &format!("{} of", LEVELS.len()))
     );
     for architecture in [Architecture::Particle, Architecture::Frame] {
         for core in [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm, Core::Mlp] {
@@ -167,6 +182,7 @@ pub fn values(spec: &ParameterSpec) -> String {
             format!("{} or more {unit}", range.start())
         }
         Values::Integer { range, unit } => format!("{} to {} {unit}", range.start(), range.end()),
+        Values::Number { range, unit } => format!("{} to {} {unit}", range.start(), range.end()),
         Values::Name => "name".to_owned(),
         Values::Word(words) => words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", "),
     }
@@ -177,6 +193,7 @@ pub fn value(value: &ParameterValue) -> String {
     match value.kind() {
         Ok(ParameterKind::Bool) => value.bool_value.to_string(),
         Ok(ParameterKind::Integer) => value.integer_value.to_string(),
+        Ok(ParameterKind::Double) => value.double_value.to_string(),
         _ => value.string_value.clone(),
     }
 }
@@ -203,13 +220,17 @@ pub fn diagnostics() -> String {
     let rows = |rows: &[Row]| table(rows).split_once("|---|---|---|\n").unwrap().1.to_owned();
     let mut text = format!(
         "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
-         ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, \
-         and OK otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
+         ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, or if \
+         the error of a prediction is expected to exceed `max_expected_error`, and OK otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
          | `rate (1/s)` | number | Predictions per second since the last message. |\n\
          | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\
          | `latency p99 (ms)` | number | 99th percentile of the same time. |\n\
          | `model` | text | Digest of the checkpoint. |\n{}\
-         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n{}",
+         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n\
+         | `largest expected error (domain lengths)` | number | Largest [expected position error](../how-to/error_estimates.md) of the predictions since the last message. Present \
+         only with a calibrated checkpoint and predictions no further ahead than it was calibrated for. |\n\
+         | `expected error (domain lengths) at frames ahead, by stream` | text | For at most the eight streams with the largest expected errors: that error, its number of frames ahead, its bound at 90 %, \
+         and the probability that a ballistic prediction is better. |\n{}",
         rows(&counted),
         docs("dropped_by_stream"),
         rows(&group),

@@ -1,11 +1,12 @@
 //! Counters, rate and latency as ROS 2 diagnostics.
 
-use std::time::Duration;
+use std::{collections::BTreeMap, time::Duration};
 
 use hdrhistogram::Histogram;
 
 use super::{Counters, GroupCounts};
 use eddy_frames::Stamp;
+use eddy_inference::error_model::{ErrorEstimate, UPPER_LEVEL};
 use eddy_messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 
 /// Largest latency in the histogram; longer ones count as this (µs).
@@ -28,6 +29,8 @@ pub struct Monitor {
     latency: Histogram<u64>,
     last: Counters,
     rejection: Option<String>,
+    /// The prediction of each stream with the largest expected error.
+    errors: BTreeMap<u64, ErrorEstimate>,
     /// State of a managed node that is not active.
     idle: Option<&'static str>,
 }
@@ -54,6 +57,7 @@ impl Monitor {
             latency,
             last: Counters::default(),
             rejection: None,
+            errors: BTreeMap::new(),
             idle: None,
         }
     }
@@ -68,6 +72,14 @@ impl Monitor {
     /// Records why a frame was rejected; the latest reason is reported.
     pub fn rejected(&mut self, reason: String) {
         self.rejection = Some(reason);
+    }
+
+    /// Records how far a prediction is expected to be off; the largest of each stream is reported.
+    pub fn estimated(&mut self, stream: u64, error: ErrorEstimate) {
+        let largest = self.errors.entry(stream).or_insert(error);
+        if error.expected >= largest.expected {
+            *largest = error;
+        }
     }
 
     /// The node is in this state at the next report and does not predict.
@@ -87,7 +99,8 @@ impl Monitor {
 
     /// Reports the interval since the last report and starts the next one.
     ///
-    /// ERROR when a prediction diverged, WARN when a frame was rejected or lost, OK otherwise.
+    /// ERROR when a prediction diverged, WARN when a frame was rejected or lost or the error of a prediction is expected to exceed
+    /// `max_expected_error` (domain lengths), OK otherwise.
     pub fn report(
         &mut self,
         now: Duration,
@@ -95,9 +108,10 @@ impl Monitor {
         name: &str,
         model: &str,
         counters: &Counters,
+        max_expected_error: Option<f64>,
     ) -> DiagnosticArray {
         let Rates { rate, latency_p50, latency_p99 } = self.rates(now);
-        let (level, message) = self.level(counters);
+        let (level, message) = self.level(counters, max_expected_error);
         let milliseconds = |latency: Duration| format!("{:.3}", latency.as_secs_f64() * 1e3);
         let mut values = vec![
             value("rate (1/s)", format!("{rate:.1}")),
@@ -107,6 +121,7 @@ impl Monitor {
         ];
         values.extend(counters.named().map(|(key, count)| value(key, count.to_string())));
         values.extend(losses(counters));
+        values.extend(self.expected_errors().into_iter().flatten());
         values.extend(group(counters).into_iter().flatten());
         *self = Self { last: counters.clone(), ..Self::start(now) };
         let status = DiagnosticStatus {
@@ -122,7 +137,7 @@ impl Monitor {
         }
     }
 
-    fn level(&self, counters: &Counters) -> (Level, String) {
+    fn level(&self, counters: &Counters, max_expected_error: Option<f64>) -> (Level, String) {
         if counters.diverged > self.last.diverged {
             (Level::Error, "a prediction was not finite; its stream was reset".to_owned())
         } else if let Some(reason) = &self.rejection {
@@ -137,15 +152,55 @@ impl Monitor {
             )
         } else if counters.lost() > self.last.lost() {
             (Level::Warn, "frames were lost".to_owned())
+        } else if let Some(most) = max_expected_error
+            && let Some((stream, error)) = self.largest_errors().next()
+            && f64::from(error.expected) > most
+        {
+            (
+                Level::Warn,
+                format!(
+                    "stream {stream}: the error {} frames ahead is expected to be {:.4} domain lengths, above \
+                     max_expected_error {most}",
+                    error.horizon, error.expected
+                ),
+            )
         } else {
             (Level::Ok, self.idle.unwrap_or("predicting").to_owned())
         }
     }
+
+    /// Streams in descending order of their expected errors.
+    fn largest_errors(&self) -> impl Iterator<Item = (u64, &ErrorEstimate)> {
+        let mut errors: Vec<_> =
+            self.errors.iter().map(|(&stream, error)| (stream, error)).collect();
+        errors.sort_by(|(_, a), (_, b)| b.expected.total_cmp(&a.expected));
+        errors.into_iter()
+    }
+
+    /// The largest expected error, and those of several streams with their horizons.
+    fn expected_errors(&self) -> Option<[KeyValue; 2]> {
+        let (_, largest) = self.largest_errors().next()?;
+        let named = self.largest_errors().take(NAMED).map(|(stream, error)| {
+            let ErrorEstimate { horizon, expected, upper, worse_than_ballistic } = error;
+            let percent = 100.0 * worse_than_ballistic;
+            let level = 100.0 * UPPER_LEVEL;
+            format!(
+                "{stream}: {expected:.4} at {horizon} ({level:.0} % below {upper:.4}, {percent:.0} % worse than ballistic)"
+            )
+        });
+        let named = named.collect::<Vec<_>>().join(", ");
+        Some([
+            value("largest expected error (domain lengths)", format!("{:.4}", largest.expected)),
+            value("expected error (domain lengths) at frames ahead, by stream", named),
+        ])
+    }
 }
+
+/// Streams that a report names at most.
+const NAMED: usize = 8;
 
 /// The streams that lost most frames because the node is too slow, in descending order.
 fn losses(counters: &Counters) -> Option<KeyValue> {
-    const NAMED: usize = 8;
     let mut losses: Vec<_> = counters.dropped_by_stream.iter().collect();
     losses.sort_by_key(|&(_, lost)| std::cmp::Reverse(lost));
     let named = losses.iter().take(NAMED).map(|(stream, lost)| format!("{stream}: {lost}"));
@@ -173,7 +228,7 @@ mod tests {
 
     fn report(monitor: &mut Monitor, seconds: u64, counters: &Counters) -> DiagnosticStatus {
         let now = Duration::from_secs(seconds);
-        monitor.report(now, Stamp(0), "eddy", "abc", counters).status.remove(0)
+        monitor.report(now, Stamp(0), "eddy", "abc", counters, Some(0.05)).status.remove(0)
     }
 
     #[test]
@@ -214,6 +269,39 @@ mod tests {
         let found: Vec<_> = values.map(|value| value.value.as_str()).collect();
         assert_eq!(found, ["3", "33", "67"]);
         assert_eq!(status.level, Level::Ok as u8);
+    }
+
+    #[test]
+    fn a_prediction_that_is_expected_to_be_far_off_is_a_warning_with_its_stream() {
+        let estimate = |expected: f32, horizon| ErrorEstimate {
+            horizon,
+            expected,
+            upper: 2.0 * expected,
+            worse_than_ballistic: 0.25,
+        };
+        let mut monitor = Monitor::start(Duration::ZERO);
+        for (stream, expected, horizon) in [(1, 0.02, 20), (2, 0.0625, 9), (2, 0.04, 10)] {
+            monitor.estimated(stream, estimate(expected, horizon));
+        }
+        let status = report(&mut monitor, 1, &Counters::default());
+        assert_eq!(status.level, Level::Warn as u8);
+        assert_eq!(
+            status.message,
+            "stream 2: the error 9 frames ahead is expected to be 0.0625 domain lengths, above max_expected_error 0.05"
+        );
+        let [largest, by_stream] = &status.values[status.values.len() - 2..] else { panic!() };
+        assert_eq!(largest.value, "0.0625");
+        assert_eq!(
+            by_stream.value,
+            "2: 0.0625 at 9 (90 % below 0.1250, 25 % worse than ballistic), \
+             1: 0.0200 at 20 (90 % below 0.0400, 25 % worse than ballistic)"
+        );
+        monitor.estimated(1, estimate(0.02, 20));
+        assert_eq!(report(&mut monitor, 2, &Counters::default()).level, Level::Ok as u8);
+        assert_eq!(
+            report(&mut monitor, 3, &Counters::default()).values.len(),
+            status.values.len() - 2
+        );
     }
 
     #[test]

@@ -486,6 +486,7 @@ impl Running<'_> {
         let Self { node, queue, output, context, .. } = self;
         let (streams, is_active) = (node.streams(), node.is_active());
         let idle = node.lifecycle().filter(|_| !is_active);
+        let limit = node.settings().max_expected_error;
         let counters = node.counters_mut();
         counters.published = output.published;
         counters.unpublished = output.unpublished;
@@ -510,7 +511,7 @@ impl Running<'_> {
             Some(state) => output.monitor.idle(state.label()),
             None => self.warnings.check(now, &context.input, &self.load),
         }
-        output.report(context, counters, streams);
+        output.report(context, counters, streams, limit);
     }
 }
 
@@ -550,6 +551,9 @@ impl Output<'_> {
             self.failures.log(self.clock.now(), output.status.publish_cdr(&self.bytes));
         }
         self.monitor.published(1, self.clock.now() - arrived);
+        if let Some(error) = prediction.error {
+            self.monitor.estimated(prediction.frame.stream, error);
+        }
         // Point clouds and observers come last: predictions do not wait for them.
         for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {
             cloud.publish(&prediction.frame.into());
@@ -559,7 +563,13 @@ impl Output<'_> {
         }
     }
 
-    fn report(&mut self, context: &NodeContext, counters: &Counters, streams: usize) {
+    fn report(
+        &mut self,
+        context: &NodeContext,
+        counters: &Counters,
+        streams: usize,
+        max_expected_error: Option<f64>,
+    ) {
         let now = self.clock.now();
         let rates = self.monitor.rates(now);
         for observer in self.outputs.iter_mut().flat_map(|output| &mut output.observers) {
@@ -567,7 +577,8 @@ impl Output<'_> {
         }
         // Names in diagnostics have no leading slash.
         let name = context.name.trim_start_matches('/');
-        let report = self.monitor.report(now, context.time.stamp(), name, &self.digest, counters);
+        let (stamp, digest) = (context.time.stamp(), &self.digest);
+        let report = self.monitor.report(now, stamp, name, digest, counters, max_expected_error);
         let bytes = cdr::encode(&report);
         for diagnostics in self.outputs.iter_mut().filter_map(|o| o.diagnostics.as_mut()) {
             self.failures.log(now, diagnostics.publish_cdr(&bytes));

@@ -38,7 +38,7 @@ pub enum NodeResponse {
 }
 
 /// Why a request failed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum RequestError {
     /// A parameter cannot be set.

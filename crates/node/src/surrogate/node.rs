@@ -16,7 +16,10 @@ use super::{
     stream::{Order, StreamState},
 };
 use eddy_frames::{Frame, FrameView};
-use eddy_inference::engine::{ModelError, StepRequest, Stepper, Surrogate};
+use eddy_inference::{
+    engine::{ModelError, StepRequest, Stepper, Surrogate},
+    error_model::ErrorTracker,
+};
 use eddy_messages::{StreamState as Phase, lifecycle::Transition, services::Parameter};
 use eddy_transport::Payload;
 
@@ -295,13 +298,19 @@ impl SurrogateNode {
                 continue;
             }
             let ahead = frame.sequence - stream.sequence;
+            let horizon = u32::try_from(ahead).unwrap_or(u32::MAX);
+            let error = match (&mut stream.errors, self.surrogate.error_model()) {
+                (Some(errors), Some(model)) => errors.estimate(model, frame, horizon),
+                _ => None,
+            };
             output(
                 now,
                 Ok(Prediction {
                     source_sequence: stream.sequence,
-                    horizon: u32::try_from(ahead).unwrap_or(u32::MAX),
+                    horizon,
                     state: Phase::FreeRunning,
                     frame,
+                    error,
                 }),
             );
         }
@@ -385,10 +394,14 @@ impl SurrogateNode {
                 false => tracing::debug!("stream {}: {warning}", frame.stream),
             }
         }
+        let errors = self.surrogate.error_model().map(|_| {
+            ErrorTracker::new(self.surrogate.description(), &frame.domain, &frame.material)
+        });
         let state = StreamState {
             memory,
             predicted: frame.clone(),
             spare: frame.clone(),
+            errors,
             sequence: frame.sequence,
             stamp: frame.stamp,
             observed: 0,
@@ -408,7 +421,7 @@ impl SurrogateNode {
     ) {
         let Self { surrogate, stepper, settings, streams, buffers, simulated, uses, stop, .. } =
             self;
-        let stop: &AtomicBool = stop;
+        let (stop, error_model): (&AtomicBool, _) = (stop, surrogate.error_model());
         buffers.resize_with(batch.len().max(buffers.len()), HorizonBuffers::default);
         let mut steps = [const { None }; MAX_BATCH];
         let mut prepare = |number: usize, stream, buffers| {
@@ -424,6 +437,7 @@ impl SurrogateNode {
                 now,
                 gap,
                 buffers,
+                error_model,
                 stop,
                 stepped,
                 tracking,

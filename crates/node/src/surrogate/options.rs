@@ -61,6 +61,9 @@ impl<const IS_LIVE: bool> FromArgMatches for SettingOptions<IS_LIVE> {
                 Values::Integer { .. } => {
                     matches.get_one(spec.name).copied().map(ParameterValue::integer)
                 }
+                Values::Number { .. } => {
+                    matches.get_one(spec.name).copied().map(ParameterValue::double)
+                }
                 Values::Name | Values::Word(_) => {
                     matches.get_one(spec.name).cloned().map(ParameterValue::string)
                 }
@@ -86,6 +89,10 @@ fn argument(spec: &ParameterSpec, option: &'static str) -> Arg {
             .value_parser(value_parser!(i64))
             .value_name("N")
             .help(format!("{} [default: {}]", spec.help, default.integer_value)),
+        Values::Number { .. } => argument
+            .value_parser(value_parser!(f64))
+            .value_name("X")
+            .help(format!("{} [default: {}]", spec.help, default.double_value)),
         Values::Name => argument.value_name("NAME").help(spec.help),
         Values::Word(words) => {
             let words = words.iter().map(|(word, help)| PossibleValue::new(*word).help(*help));

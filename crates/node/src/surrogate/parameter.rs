@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use eddy_messages::services::{ParameterKind, ParameterValue};
 
 /// The values that a setting accepts.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Values {
     /// True or false.
     Bool,
@@ -14,6 +14,13 @@ pub enum Values {
         /// Smallest and largest.
         range: RangeInclusive<i64>,
         /// What is counted, in the plural.
+        unit: &'static str,
+    },
+    /// A number.
+    Number {
+        /// Smallest and largest.
+        range: RangeInclusive<f64>,
+        /// Its unit, in the plural.
         unit: &'static str,
     },
     /// A name of letters, digits and `_` that does not start with a digit, or nothing.
@@ -28,6 +35,7 @@ impl Values {
         match self {
             Self::Bool => ParameterKind::Bool,
             Self::Integer { .. } => ParameterKind::Integer,
+            Self::Number { .. } => ParameterKind::Double,
             Self::Name | Self::Word(_) => ParameterKind::String,
         }
     }
@@ -39,7 +47,7 @@ impl Values {
                 words.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(" or ")
             }
             Self::Name => "a name of letters, digits and _, or nothing".to_owned(),
-            Self::Bool | Self::Integer { .. } => String::new(),
+            Self::Bool | Self::Integer { .. } | Self::Number { .. } => String::new(),
         }
     }
 }
@@ -111,5 +119,16 @@ impl Setting for Option<u64> {
 
     fn from_parameter(value: &ParameterValue) -> Self {
         Some(u64::from_parameter(value)).filter(|&number| number > 0)
+    }
+}
+
+/// `None` is 0 as a parameter.
+impl Setting for Option<f64> {
+    fn to_parameter(&self) -> ParameterValue {
+        ParameterValue::double(self.unwrap_or(0.0))
+    }
+
+    fn from_parameter(value: &ParameterValue) -> Self {
+        Some(value.double_value).filter(|&number| number > 0.0)
     }
 }

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::parameter::{Setting, Values};
 use eddy_messages::services::{
-    IntegerRange, Parameter, ParameterDescriptor, ParameterKind, ParameterValue,
+    FloatingPointRange, IntegerRange, Parameter, ParameterDescriptor, ParameterKind, ParameterValue,
 };
 use eddy_settings::near;
 use eddy_transport::is_name_token;
@@ -106,6 +106,8 @@ node_settings! {
         "Longest gap in a stream that the model fills with its own predictions; a longer one resets the stream";
     max_streams: usize = 64, whole(1..=65_536, "streams"), CHANGEABLE,
         "Streams to keep at the same time; the least recently used one is evicted";
+    max_expected_error: Option<f64> = None, Values::Number { range: 0.0..=1e6, unit: "domain lengths" }, CHANGEABLE,
+        "Report WARN on /diagnostics if the position error of a prediction is expected to be larger; 0 never does; the checkpoint must be calibrated (eddy calibrate)";
     queue: usize = 64, whole(1..=65_536, "frames"), READ_ONLY,
         "Frames that may wait for the model";
     cloud: bool = false, Values::Bool, READ_ONLY,
@@ -117,7 +119,7 @@ node_settings! {
 }
 
 /// A setting that cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum InvalidSettings {
     /// There is no parameter of this name.
@@ -133,6 +135,9 @@ pub enum InvalidSettings {
     /// The value is out of range.
     #[error("{field}: found {found}, expected {} to {}", range.start(), range.end())]
     Range { field: &'static str, found: i64, range: RangeInclusive<i64> },
+    /// The number is out of range, or not finite.
+    #[error("{field}: found {found}, expected {} to {}", range.start(), range.end())]
+    NumberRange { field: &'static str, found: f64, range: RangeInclusive<f64> },
     /// The value is no name, or none of the words of this parameter.
     #[error("{field}: found `{found}`, expected {expected}")]
     Word { field: &'static str, found: String, expected: String },
@@ -174,6 +179,10 @@ impl ParameterSpec {
             Values::Integer { range, .. } if !range.contains(&found) => {
                 Err(InvalidSettings::Range { field, found, range: range.clone() })
             }
+            Values::Number { range, .. } if !range.contains(&value.double_value) => {
+                let (found, range) = (value.double_value, range.clone());
+                Err(InvalidSettings::NumberRange { field, found, range })
+            }
             Values::Name
                 if !value.string_value.is_empty() && !is_name_token(&value.string_value) =>
             {
@@ -197,6 +206,13 @@ impl ParameterSpec {
             }
             _ => Vec::new(),
         };
+        let floating_point_range = match values {
+            Values::Number { range, .. } => {
+                let (from_value, to_value) = (*range.start(), *range.end());
+                vec![FloatingPointRange { from_value, to_value, step: 0.0 }]
+            }
+            _ => Vec::new(),
+        };
         ParameterDescriptor {
             name: (*name).to_owned(),
             kind: values.kind() as u8,
@@ -204,6 +220,7 @@ impl ParameterSpec {
             additional_constraints: values.words(),
             read_only: *read_only,
             integer_range,
+            floating_point_range,
             ..ParameterDescriptor::default()
         }
     }
@@ -219,6 +236,11 @@ impl NodeSettings {
         if self.free_run == Some(0) {
             let range = 1..=i64::MAX;
             return Err(InvalidSettings::Range { field: "free_run", found: 0, range });
+        }
+        if let Some(found) = self.max_expected_error.filter(|&found| found.is_nan() || found <= 0.0)
+        {
+            let range = f64::MIN_POSITIVE..=1e6;
+            return Err(InvalidSettings::NumberRange { field: "max_expected_error", found, range });
         }
         PARAMETERS.iter().try_for_each(|spec| spec.check(&spec.get(self)))
     }
@@ -272,6 +294,7 @@ mod tests {
             free_run: Some(9),
             max_gap: 5,
             max_streams: 6,
+            max_expected_error: Some(0.25),
             queue: 8,
             cloud: true,
             use_sim_time: true,

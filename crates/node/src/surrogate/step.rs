@@ -7,7 +7,10 @@ use std::{
 
 use super::{NodeSettings, Publish, stream::StreamState};
 use eddy_frames::{Frame, FrameView, decimal};
-use eddy_inference::engine::{HiddenState, StepRequest, Stepper};
+use eddy_inference::{
+    engine::{HiddenState, StepRequest, Stepper},
+    error_model::{ErrorEstimate, ErrorModel},
+};
 use eddy_messages::{Header, PredictionStatus, StreamState as Phase};
 
 /// Predictions further ahead (frames) are given up when the program is asked to end; a nearer one takes no time.
@@ -24,6 +27,8 @@ pub struct Prediction<'a> {
     pub horizon: u32,
     /// Whether the stream is observed or in a free run.
     pub state: Phase,
+    /// How far off it is expected to be, if the model is calibrated for such a horizon.
+    pub error: Option<ErrorEstimate>,
 }
 
 impl Prediction<'_> {
@@ -47,6 +52,8 @@ pub(super) struct HorizonBuffers {
     /// Copy of the stream's hidden state, advanced to the horizon.
     memory: Option<HiddenState>,
     frames: Vec<Frame>,
+    /// Estimates for the published frames.
+    errors: Vec<Option<ErrorEstimate>>,
 }
 
 /// One stream and the frame that it observes next.
@@ -59,6 +66,8 @@ pub(super) struct Step<'a> {
     /// Missing frames for the model to fill in.
     pub(super) gap: u64,
     pub(super) buffers: &'a mut HorizonBuffers,
+    /// Of a calibrated model.
+    pub(super) error_model: Option<&'a ErrorModel>,
     /// Raised when the program is asked to end: predictions far ahead are given up.
     pub(super) stop: &'a AtomicBool,
     /// Calls of [`Step::next`] so far.
@@ -92,8 +101,14 @@ impl Step<'_> {
             }
             return if self.tracking { self.look_ahead(beyond, settings) } else { None };
         }
-        let StreamState { memory: hidden, predicted: next, spare, .. } = &mut *self.stream;
+        let StreamState { memory: hidden, predicted: next, spare, errors, observed, .. } =
+            &mut *self.stream;
         if number == self.gap {
+            if let Some(errors) = errors {
+                // A frame that was predicted from a prediction says nothing about one step.
+                let is_of_one_step = self.gap == 0 && *observed > 0;
+                errors.observe(&self.frame, is_of_one_step.then_some(&*next));
+            }
             return Some(StepRequest { hidden, frame: self.frame, next });
         }
         std::mem::swap(spare, next);
@@ -123,7 +138,7 @@ impl Step<'_> {
             self.tracking = false;
             return None;
         }
-        let Self { stream, buffers: HorizonBuffers { memory, frames }, .. } = self;
+        let Self { stream, buffers: HorizonBuffers { memory, frames, .. }, .. } = self;
         let hidden = memory.get_or_insert_with(|| stream.memory.clone());
         // If only the last frame is published, two buffers alternate.
         let place = number % kept(settings);
@@ -139,24 +154,21 @@ impl Step<'_> {
 
     /// After the last of [`Step::next`].
     pub(super) fn finish(&mut self, settings: &NodeSettings) {
-        self.finite =
-            !self.tracking || self.published(settings).all(|(frame, _)| frame.check().is_ok());
-    }
-
-    /// The frames to publish with their horizons, in the order of time.
-    fn published(&self, settings: &NodeSettings) -> impl Iterator<Item = (&Frame, u32)> {
-        let horizon = settings.horizon as usize;
-        let first = match settings.publish {
-            Publish::All => 1,
-            Publish::Last => horizon,
-        };
-        (first..=horizon).filter_map(move |ahead| {
-            let frame = match ahead {
-                1 => Some(&self.stream.predicted),
-                _ => self.buffers.frames.get((ahead - 2) % kept(settings)),
+        let Self { stream, buffers: HorizonBuffers { frames, errors, .. }, .. } = self;
+        let StreamState { predicted, errors: tracker, .. } = &mut **stream;
+        errors.clear();
+        self.finite = true;
+        if !self.tracking {
+            return;
+        }
+        for (frame, horizon) in published(predicted, frames, settings) {
+            self.finite &= frame.check().is_ok();
+            let estimate = match (&mut *tracker, self.error_model) {
+                (Some(tracker), Some(model)) => tracker.estimate(model, frame, horizon),
+                _ => None,
             };
-            Some((frame?, ahead as u32))
-        })
+            errors.push(estimate);
+        }
     }
 
     /// The predictions to publish.
@@ -164,13 +176,36 @@ impl Step<'_> {
         &self,
         settings: &NodeSettings,
     ) -> impl Iterator<Item = Prediction<'_>> {
-        self.published(settings).map(|(frame, horizon)| Prediction {
+        let HorizonBuffers { frames, errors, .. } = &*self.buffers;
+        let frames = published(&self.stream.predicted, frames, settings);
+        frames.zip(errors).map(|((frame, horizon), &error)| Prediction {
             frame,
             source_sequence: self.stream.sequence,
             horizon,
             state: Phase::Tracking,
+            error,
         })
     }
+}
+
+/// The frames to publish with their horizons, in the order of time: `first` and those `beyond`.
+fn published<'a>(
+    first: &'a Frame,
+    beyond: &'a [Frame],
+    settings: &NodeSettings,
+) -> impl Iterator<Item = (&'a Frame, u32)> {
+    let (horizon, kept) = (settings.horizon as usize, kept(settings));
+    let nearest = match settings.publish {
+        Publish::All => 1,
+        Publish::Last => horizon,
+    };
+    (nearest..=horizon).filter_map(move |ahead| {
+        let frame = match ahead {
+            1 => Some(first),
+            _ => beyond.get((ahead - 2) % kept),
+        };
+        Some((frame?, ahead as u32))
+    })
 }
 
 /// Buffers for frames beyond the first: one for each published frame, or two that alternate.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use eddy_frames::{Frame, FrameView, Stamp};
-use eddy_inference::engine::HiddenState;
+use eddy_inference::{engine::HiddenState, error_model::ErrorTracker};
 
 /// A stamp more than this many intervals in the past means that the stream restarted (a looped bag).
 const RESTART_INTERVALS: u32 = 16;
@@ -15,6 +15,8 @@ pub(super) struct StreamState {
     pub predicted: Frame,
     /// Scratch frame for a prediction that replaces a missing frame.
     pub spare: Frame,
+    /// What estimates of errors are made from, if the model is calibrated.
+    pub errors: Option<ErrorTracker>,
     /// Sequence of the last observed frame.
     pub sequence: u64,
     /// Stamp of the last observed frame.

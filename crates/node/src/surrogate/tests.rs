@@ -1,6 +1,7 @@
 //! The rules of the surrogate node, one test a rule.
 
 mod device;
+mod error_estimates;
 mod requests;
 
 use std::{
