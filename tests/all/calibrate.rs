@@ -76,6 +76,15 @@ fn a_calibrated_checkpoint_shows_in_evaluations_how_well_its_estimates_hold() {
 }
 
 #[test]
+fn every_shipped_checkpoint_has_estimates_of_its_own() {
+    for directory in [SHIPPED.to_owned(), format!("{SHIPPED}-stiff")] {
+        let checkpoint = Checkpoint::load(Path::new(&directory)).unwrap();
+        let calibrated = checkpoint.error_model.as_ref().unwrap();
+        assert_eq!(calibrated.checkpoint, checkpoint.digest(), "{directory}");
+    }
+}
+
+#[test]
 fn existing_estimates_are_replaced_only_by_force_even_damaged_ones() {
     let world = World::new(10);
     succeed(world.arguments("10", &[]));
