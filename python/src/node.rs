@@ -393,7 +393,8 @@ fn parameters(settings: &Bound<'_, PyDict>) -> PyResult<Vec<Parameter>> {
             ParameterValue::string(value.extract()?)
         } else {
             let found = value.get_type().name()?;
-            let message = format!("{name}: found {found}, expected a bool, an int or a str");
+            let message =
+                format!("{name}: found {found}, expected a bool, an int, a float or a str");
             return Err(PyTypeError::new_err(message));
         };
         Ok(Parameter { name, value })

@@ -172,7 +172,7 @@ def test_wrong_arguments_are_named(options: dict[str, object], message: str) -> 
 
 
 def test_other_mistakes_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(TypeError, match="horizon: found list, expected a bool, an int or a str"):
+    with pytest.raises(TypeError, match="horizon: found list, expected a bool, an int, a float or a str"):
         eddy.Node(settings={"horizon": []})  # type: ignore[dict-item]
     with pytest.raises(eddy.CheckpointError, match="model.toml"):
         eddy.Node(surrogate=tmp_path)

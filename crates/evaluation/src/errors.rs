@@ -122,12 +122,6 @@ impl ErrorSums {
     }
 }
 
-/// Mean of |x - x'|^2 over particles (domain lengths squared), for positions `[N, 2]`.
-pub fn mean_squared_distance(predicted: &[[f32; 2]], truth: &[[f32; 2]]) -> f64 {
-    let squared = |(&a, &b): (&[f32; 2], &[f32; 2])| square(difference(a, b));
-    predicted.iter().zip(truth).map(squared).sum::<f64>() / truth.len() as f64
-}
-
 /// `a - b`, subtracted in double precision.
 pub(super) fn difference(a: [f32; 2], b: [f32; 2]) -> [f64; 2] {
     [f64::from(a[0]) - f64::from(b[0]), f64::from(a[1]) - f64::from(b[1])]

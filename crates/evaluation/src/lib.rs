@@ -54,10 +54,9 @@ mod window;
 pub use baseline::Baseline;
 pub use context::{Context, DEFAULT_STARTS, Settings};
 pub use cost::{Cost, KindCost, time};
-pub use error_estimates::{
-    Bin, Calibration, CalibrationRequest, MIN_STREAMS, Outcome, Reliability, Sample,
-};
-pub use errors::{ErrorSums, Errors, Units, mean_squared_distance};
+pub use eddy_inference::error_model::mean_squared_distance;
+pub use error_estimates::{Bin, Calibration, CalibrationRequest, Outcome, Reliability, Sample};
+pub use errors::{ErrorSums, Errors, Units};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};
 pub use kind::Kind;
 pub use linear_fit::LinearFit;

@@ -8,7 +8,10 @@ use super::{
     task::RolloutTask,
 };
 use crate::dataset::State;
-use eddy_inference::engine::{ModelError, Surrogate};
+use eddy_inference::{
+    engine::{ModelError, Surrogate},
+    error_model::CalibratedHorizon,
+};
 use eddy_mpm::MpmError;
 
 /// A predictor.
@@ -33,6 +36,10 @@ pub enum Predictor<'a> {
     /// The truth, for comparison of physical measures.
     Truth,
 }
+
+/// Frames ahead at which estimates of errors are compared with the errors: those of other results, and some in between, whose
+/// estimates are interpolated.
+const JUDGED_FRAMES: [u32; 9] = [1, 3, 5, 10, 20, 30, 50, 70, 100];
 
 /// Results beside the rollouts themselves.
 pub(super) struct RolloutOutcome {
@@ -59,7 +66,11 @@ impl Predictor<'_> {
         let (mut failure, mut estimates) = (None, Vec::new());
         let step_results = match *self {
             Self::Model(surrogate) => {
-                let calibrated = surrogate.error_model().map_or(&[][..], |model| &model.horizons);
+                let shown = JUDGED_FRAMES.iter();
+                let calibrated: Vec<CalibratedHorizon> = surrogate
+                    .error_model()
+                    .map(|model| shown.filter_map(|&ahead| model.at(ahead)).collect())
+                    .unwrap_or_default();
                 let horizons: Vec<u32> = calibrated.iter().map(|at| at.frames).collect();
                 let mut sampler = Sampler::new(surrogate, stream, &horizons);
                 let steps = roll_out_from_first(surrogate, task, &mut sampler, each);

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::{
     Outcome, Reliability, Sample, Sampler,
     fit::{Observation, least_squares, logistic},
-    reliability::logarithm,
 };
 use crate::{
     EvalError, EvaluationError, SHOWN_FRAMES, Settings, dataset::Trajectory, measure::Flights,
@@ -16,11 +15,11 @@ use crate::{
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     engine::Surrogate,
-    error_model::{CalibratedHorizon, ErrorModel, LEVELS, Linear, Regression},
+    error_model::{CalibratedHorizon, ErrorModel, LEVELS, Linear, Regression, log_square},
 };
 
-/// Fewest streams: two of each part.
-pub const MIN_STREAMS: usize = 2 * FOLDS;
+/// Fewest streams, as errors and help say: two of each part.
+const MIN_STREAMS: usize = 2 * FOLDS;
 /// Parts of the streams, each left out of a fit once.
 const FOLDS: usize = 5;
 
@@ -44,7 +43,7 @@ pub struct Calibration {
     pub model: ErrorModel,
     /// How well estimates for each fifth of the scenes hold that were fitted to the others.
     pub reliability: Vec<Reliability>,
-    /// Remarks for the user, one sentence each: excluded streams, numbers of frames that no stream reaches.
+    /// Remarks for the user, one sentence each: streams left out, numbers of frames that too few streams reach.
     pub remarks: Vec<String>,
 }
 
@@ -66,16 +65,20 @@ impl Calibration {
             }
         }
         let settings = Settings::errors_only(horizon, starts);
-        let Selection { streams, context, digest, mut remarks } =
+        let Selection { streams, context, mut remarks, .. } =
             Selection::new(settings, &[surrogate.description()], streams)?;
+        let all = streams.len();
         let has_rollouts = |stream: &Trajectory| !context.starts(stream.frames).is_empty();
         let streams: Vec<Trajectory> = streams.into_iter().filter(has_rollouts).collect();
+        if streams.len() < all {
+            let short = all - streams.len();
+            remarks.push(format!("{short} of {all} streams are too short for a rollout: left out"));
+        }
         if streams.len() < MIN_STREAMS {
             let expected = "at least 10 that the model was not trained on, with room for a rollout";
             return Err(EvaluationError::request("streams", streams.len(), expected));
         }
-        let horizons: Vec<u32> =
-            SHOWN_FRAMES.iter().filter(|&&ahead| ahead <= horizon).map(|&h| h as u32).collect();
+        let horizons: Vec<u32> = horizons(horizon);
         let threads =
             threads.map_or_else(|| rollout_threads([surrogate], &streams), NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
@@ -97,13 +100,19 @@ impl Calibration {
         for &horizon in &horizons {
             let Some((at, outcomes)) = calibrate(horizon, &samples) else {
                 remarks.push(format!(
-                    "too few rollouts are compared with the truth {horizon} frames ahead: no estimates there"
+                    "rollouts of fewer than {MIN_STREAMS} streams can be compared with the truth {horizon} frames ahead: no \
+                     estimates there"
                 ));
                 continue;
             };
             calibrated.push(at);
             reliability.extend(Reliability::by_horizon(&outcomes));
         }
+        if calibrated.is_empty() {
+            let expected = "at least 2: nothing is known of a stream at its first frame";
+            return Err(EvaluationError::request("starts", starts, expected));
+        }
+        let digest = dataset::digest(&streams, |_| ())?;
         let rollouts = streams.iter().map(|stream| context.starts(stream.frames).len()).sum();
         let seen = streams.iter().map(Trajectory::fingerprint).collect::<Result<_, _>>()?;
         let model = ErrorModel {
@@ -163,7 +172,7 @@ fn calibrate(horizon: u32, samples: &[Vec<Sample>]) -> Option<(CalibratedHorizon
         let observations = |value: fn(&Sample) -> f64| -> Vec<Observation> {
             used.iter().map(|sample| (sample.features, value(sample))).collect()
         };
-        let error = least_squares(&observations(|sample| logarithm(sample.error)));
+        let error = least_squares(&observations(|sample| log_square(sample.error).into()));
         let worse = |sample: &Sample| f64::from(u8::from(sample.error > sample.ballistic_error));
         (error, logistic(&observations(worse)))
     };
@@ -173,19 +182,30 @@ fn calibrate(horizon: u32, samples: &[Vec<Sample>]) -> Option<(CalibratedHorizon
         numbered.flat_map(|(scene, samples)| samples.iter().map(move |s| (fold(scene), s)))
     };
     let left_out = |(fold, sample): (usize, &Sample)| {
-        logarithm(sample.error) as f32 - folds[fold].0.value(&sample.features)
+        (fold, log_square(sample.error) - folds[fold].0.value(&sample.features))
     };
-    let mut residuals: Vec<f32> = all().map(left_out).collect();
-    residuals.sort_by(f32::total_cmp);
-    let residuals = LEVELS.map(|level| quantile(&residuals, level));
-    let at = |(linear, worse_than_ballistic): (Linear, Linear)| CalibratedHorizon {
+    let residuals: Vec<(usize, f32)> = all().map(left_out).collect();
+    // The residuals of a part, like its regression, must not tell how the estimates hold for that part.
+    let quantiles = |without: Option<usize>| {
+        let others = residuals.iter().filter(|(fold, _)| Some(*fold) != without);
+        let mut others: Vec<f32> = others.map(|(_, residual)| *residual).collect();
+        others.sort_by(f32::total_cmp);
+        LEVELS.map(|level| quantile(&others, level))
+    };
+    let at = |(linear, worse_than_ballistic): &(Linear, Linear), without| CalibratedHorizon {
         frames: horizon,
-        error: Regression { linear, residuals },
-        worse_than_ballistic,
+        error: Regression { linear: linear.clone(), residuals: quantiles(without) },
+        worse_than_ballistic: worse_than_ballistic.clone(),
     };
-    let folds = folds.map(at);
-    let outcomes = all().filter_map(|(fold, sample)| Outcome::new(&folds[fold], sample)).collect();
-    Some((at(fit(None)), outcomes))
+    let judged: [_; FOLDS] = std::array::from_fn(|fold| at(&folds[fold], Some(fold)));
+    let outcomes = all().filter_map(|(fold, sample)| Outcome::new(&judged[fold], sample)).collect();
+    Some((at(&fit(None), None), outcomes))
+}
+
+/// The numbers of frames ahead that are calibrated: those of reports, and the largest.
+fn horizons(largest: usize) -> Vec<u32> {
+    let shown = SHOWN_FRAMES.into_iter().filter(|&ahead| ahead < largest);
+    shown.chain([largest]).map(|ahead| ahead as u32).collect()
 }
 
 /// The quantile of sorted numbers at `level`, interpolated.
@@ -207,7 +227,10 @@ mod tests {
         simulate::{SimulationRequest, Source, simulate},
     };
     use eddy_frames::progress::Silent;
-    use eddy_inference::checkpoint::Checkpoint;
+    use eddy_inference::{
+        checkpoint::Checkpoint,
+        error_model::{FEATURES, Features},
+    };
     use eddy_mpm::{self as mpm, Extent, Preset};
 
     /// Scenes of few particles and 13 frames.
@@ -247,14 +270,34 @@ mod tests {
         assert_eq!((model.streams, model.rollouts), (12, 36));
         assert_eq!(model.checkpoint, surrogate.digest());
         let frames: Vec<u32> = model.horizons.iter().map(|at| at.frames).collect();
-        assert_eq!(frames, [1, 5]);
+        assert_eq!(frames, [1, 5, 7]);
         // The last rollout of each stream ends before its fifth frame.
-        assert_eq!(reliability.iter().map(|r| r.estimates).collect::<Vec<_>>(), [36, 24]);
-        // Residuals are those of the same estimates: half of the errors are below the median.
-        let median = reliability[1].coverage[10];
-        assert!((0.4..0.6).contains(&median), "{median}");
+        assert_eq!(reliability.iter().map(|r| r.estimates).collect::<Vec<_>>(), [36, 24, 24]);
         let alone = CalibrationRequest { threads: NonZeroUsize::new(1), ..request(&streams) };
         assert_eq!(Calibration::of(&surrogate, alone, &Silent).unwrap().model, model);
+    }
+
+    #[test]
+    fn how_estimates_hold_is_said_of_scenes_that_they_were_not_made_from() {
+        let sample = |scene: usize, error: f64| Sample {
+            horizon: 5,
+            features: Features([scene as f32; FEATURES]),
+            error,
+            ballistic_error: 1.0,
+        };
+        let scenes = |last: f64| -> Vec<Vec<Sample>> {
+            let error = |scene: usize| if scene < 8 { 1.0 } else { last };
+            let of = |scene| (0..5).map(|n| sample(scene % 3, error(scene) * 1.1f64.powi(n)));
+            (0..10).map(|scene| of(scene).collect()).collect()
+        };
+        let [alike, other] = [1.0, 1e6].map(|last| {
+            let (_, outcomes) = calibrate(5, &scenes(last)).unwrap();
+            // Of the last part.
+            let within = outcomes[40..].iter().filter(|outcome| outcome.level <= 0.9).count();
+            within
+        });
+        assert!(alike >= 8, "{alike}");
+        assert_eq!(other, 0, "these errors are far above all that the estimates were made from");
     }
 
     #[test]

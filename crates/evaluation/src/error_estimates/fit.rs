@@ -50,14 +50,16 @@ pub(super) fn logistic(observations: &[Observation]) -> Linear {
             (*row, weight, (value - probability) / weight)
         });
         let step = weighted_least_squares(reweighted, &found);
-        let (mut size, before) = (1.0, loss(&found));
+        // Half the step until the loss falls.
+        let before = loss(&found);
         let after =
             |size: f64| -> [f64; NUMBERS] { std::array::from_fn(|k| found[k] + size * step[k]) };
-        while loss(&after(size)) > before && size > 1e-6 {
-            size *= 0.5;
-        }
-        found = after(size);
-        if before - loss(&found) < 1e-9 * before {
+        let sizes = (0..20).map(|halvings| 0.5f64.powi(halvings));
+        let better = sizes.map(after).find(|at| loss(at) < before);
+        let Some(better) = better else { break };
+        let is_done = before - loss(&better) < 1e-9 * before;
+        found = better;
+        if is_done {
             break;
         }
     }
@@ -82,7 +84,7 @@ fn weighted_least_squares(
         products[k][k] += RIDGE;
         side[0][k] -= RIDGE * from[k];
     }
-    // With a ridge, the equations of one observation or more have a solution.
+    // Singular only if nearly all weights have vanished: then nothing is left to change.
     solve(products, side).map_or([0.0; NUMBERS], |[found]| found)
 }
 

@@ -10,7 +10,7 @@ mod fit;
 mod reliability;
 mod sample;
 
-pub use calibration::{Calibration, CalibrationRequest, MIN_STREAMS};
+pub use calibration::{Calibration, CalibrationRequest};
 pub use reliability::{Bin, Outcome, Reliability};
 pub use sample::Sample;
 pub(crate) use sample::Sampler;

@@ -3,12 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{numbers, page::Table};
-use eddy_inference::error_model::{CalibratedHorizon, LEVELS, UPPER_LEVEL};
+use eddy_inference::error_model::{CalibratedHorizon, LEVELS, UPPER_LEVEL, log_square};
 
 use super::Sample;
 
 /// Intervals of estimated probabilities, of equal width.
 const BINS: usize = 10;
+/// Predictions that were worse than ballistic ones, and those that were not, from which on they are compared.
+const MIN_EVENTS: usize = 10;
 
 /// An estimate beside the error that it is about.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,7 +19,8 @@ pub struct Outcome {
     pub horizon: u32,
     /// ln(root mean square position error / its estimated median).
     pub log_ratio: f64,
-    /// The level of the error in its estimated distribution: uniform from 0 to 1 if the estimate holds.
+    /// The level of the error in its estimated distribution, [`Regression::level`](eddy_inference::error_model::Regression::level):
+    /// uniform between the stored quantiles if the estimate holds.
     pub level: f64,
     /// Estimated probability that a ballistic prediction is better.
     pub probability: f64,
@@ -32,7 +35,7 @@ impl Outcome {
             return None;
         }
         let Sample { horizon, features, error, ballistic_error } = sample;
-        let value = logarithm(*error) as f32;
+        let value = log_square(*error);
         Some(Self {
             horizon: *horizon,
             log_ratio: f64::from(0.5 * (value - at.error.quantile(features, 0.5))),
@@ -41,12 +44,6 @@ impl Outcome {
             worse_than_ballistic: error > ballistic_error,
         })
     }
-}
-
-/// The natural logarithm of a mean square (domain lengths squared); perfect predictions have a finite one.
-pub(super) fn logarithm(square: f64) -> f64 {
-    const SMALL: f64 = 1e-16;
-    (square + SMALL).ln()
 }
 
 /// How well the estimates for one number of frames ahead hold.
@@ -69,7 +66,7 @@ pub struct Reliability {
     #[serde(deserialize_with = "numbers::one")]
     pub worse_than_ballistic: f64,
     /// Area under the receiver operating characteristic of "worse than ballistic": the probability that a prediction that was
-    /// worse has a higher estimate than one that was not; NaN if all or none were worse.
+    /// worse has a higher estimate than one that was not; NaN if fewer than ten were worse or fewer than ten were not.
     #[serde(deserialize_with = "numbers::one")]
     pub auroc: f64,
     /// Mean squared difference between the estimated probability and what happened, 0 or 1 (Brier score).
@@ -120,7 +117,7 @@ impl Reliability {
             within_bound: below(UPPER_LEVEL),
             coverage: LEVELS.map(below).to_vec(),
             worse_than_ballistic: share(&|outcome| outcome.worse_than_ballistic),
-            auroc: auroc(outcomes),
+            auroc: auroc(outcomes, MIN_EVENTS),
             brier: squares.sum::<f64>() / count,
             bins: bins(outcomes),
         }
@@ -176,8 +173,13 @@ fn bins(outcomes: &[Outcome]) -> Vec<Bin> {
     (0..BINS).filter_map(of).collect()
 }
 
-/// By ranks (Mann and Whitney 1947): equal estimates share the mean of their ranks.
-fn auroc(outcomes: &[Outcome]) -> f64 {
+/// By ranks (Mann and Whitney 1947): equal estimates share the mean of their ranks. NaN for fewer than `least` of either outcome.
+fn auroc(outcomes: &[Outcome], least: usize) -> f64 {
+    let worse = outcomes.iter().filter(|outcome| outcome.worse_than_ballistic).count();
+    let better = outcomes.len() - worse;
+    if worse.min(better) < least {
+        return f64::NAN;
+    }
     let mut sorted: Vec<&Outcome> = outcomes.iter().collect();
     sorted.sort_by(|a, b| a.probability.total_cmp(&b.probability));
     let (mut rank, mut ranks_of_worse) = (0.0, 0.0);
@@ -186,8 +188,7 @@ fn auroc(outcomes: &[Outcome]) -> f64 {
         ranks_of_worse += worse * (rank + 0.5 * (equal.len() as f64 + 1.0));
         rank += equal.len() as f64;
     }
-    let worse = outcomes.iter().filter(|outcome| outcome.worse_than_ballistic).count() as f64;
-    let better = outcomes.len() as f64 - worse;
+    let (worse, better) = (worse as f64, better as f64);
     (ranks_of_worse - 0.5 * worse * (worse + 1.0)) / (worse * better)
 }
 
@@ -207,7 +208,7 @@ mod tests {
     #[test]
     fn the_area_under_the_curve_is_the_share_of_pairs_in_the_right_order() {
         let of = |all: &[(f64, bool)]| {
-            auroc(&all.iter().map(|&(p, worse)| outcome(p, worse)).collect::<Vec<_>>())
+            auroc(&all.iter().map(|&(p, worse)| outcome(p, worse)).collect::<Vec<_>>(), 1)
         };
         assert_eq!(of(&[(0.1, false), (0.2, false), (0.3, true)]), 1.0);
         assert_eq!(of(&[(0.1, true), (0.2, false)]), 0.0);
@@ -219,7 +220,7 @@ mod tests {
     #[test]
     fn shares_are_counted_by_horizon_and_interval_of_probability() {
         let mut outcomes = Vec::new();
-        for (number, level) in [0.05, 0.3, 0.85, 0.95].into_iter().enumerate() {
+        for (number, level) in [0.05, 0.3, 0.85, 1.0].into_iter().enumerate() {
             let log_ratio = [-0.1, 0.2, -0.3, 0.4][number];
             let (probability, worse) =
                 [(0.22, true), (0.28, false), (0.91, true), (1.0, true)][number];
@@ -229,7 +230,9 @@ mod tests {
         assert_eq!((found.horizon, found.estimates), (5, 4));
         assert!((found.factor - 0.3f64.exp()).abs() < 1e-12);
         assert_eq!((found.within_bound, found.worse_than_ballistic), (0.75, 0.75));
-        assert_eq!((found.coverage[0], found.coverage[10]), (0.0, 0.5));
+        let coverage = [0, 10, 20].map(|at| found.coverage[at]);
+        assert_eq!(coverage, [0.0, 0.5, 0.75], "one error is above the last quantile");
+        assert!(found.auroc.is_nan(), "one prediction that was not worse says nothing");
         let squares = [0.78f64, 0.28, 0.09, 0.0].map(|x| x * x);
         assert!((found.brier - squares.iter().sum::<f64>() / 4.0).abs() < 1e-12);
         let bins: Vec<_> = found.bins.iter().map(|bin| (bin.observed, bin.count)).collect();

@@ -1,10 +1,10 @@
 //! Features of predictions, and the errors that became known later.
 
-use crate::{Rollout, dataset::Stream, errors::mean_squared_distance};
+use crate::{Rollout, dataset::Stream};
 use eddy_frames::{Frame, FrameView};
 use eddy_inference::{
     engine::Surrogate,
-    error_model::{ErrorTracker, Features},
+    error_model::{ErrorTracker, Features, mean_squared_distance},
 };
 
 /// A prediction of a rollout.
@@ -44,8 +44,12 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Takes the samples of a rollout from the frame `start`, which was observed last.
+    /// Takes the samples of a rollout from the frame `start`, which was observed last. A rollout that diverges has none: a node
+    /// does not publish such predictions.
     pub(crate) fn add(&mut self, start: usize, rollout: &Rollout) {
+        if rollout.diverged {
+            return;
+        }
         for &horizon in self.horizons {
             let ahead = horizon as usize;
             let (Some(truth), Some(state)) =

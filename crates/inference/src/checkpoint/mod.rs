@@ -64,7 +64,8 @@ impl Checkpoint {
     }
 
     /// Writes the checkpoint to `directory`, which is created if necessary. An existing checkpoint is replaced atomically: a
-    /// crash leaves the old one or the new one.
+    /// crash leaves the old one or the new one. The error model is written afterwards; without one, that of an earlier checkpoint
+    /// stays and is not used, since it names its checkpoint.
     ///
     /// # Errors
     /// [`CheckpointError::Write`] if a file cannot be written, and the errors of [`Checkpoint::check`].

@@ -23,9 +23,10 @@ impl ErrorModel {
     /// Writes the file into a checkpoint's directory, or replaces it.
     ///
     /// # Errors
-    /// [`CheckpointError::Write`].
+    /// [`CheckpointError::Write`], and [`CheckpointError::Field`] for numbers that could not be read again.
     pub fn save(&self, directory: &Path) -> Result<(), CheckpointError> {
         let file = directory.join(ERROR_MODEL_FILE);
+        check(&file, self)?;
         atomic::replace(&file, render(self).as_bytes())
             .map_err(|reason| CheckpointError::Write { file, reason })
     }

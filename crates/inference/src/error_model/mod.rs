@@ -7,9 +7,9 @@
 //!
 //! For each calibrated number of frames ahead there are two functions of the features: a linear regression of the logarithm of
 //! the mean squared position error, and a logistic one of whether a ballistic prediction is better. `eddy calibrate` (crate
-//! `eddy-evaluation`) fits both to free rollouts over scenes that the model was not trained on. Residuals are those of scenes
-//! left out of the fit, so that their quantiles hold for new scenes of the same kinds (split conformal prediction, Vovk et al.
-//! 2005, with cross-validation).
+//! `eddy-evaluation`) fits both to free rollouts over scenes that the model was not trained on. The quantiles of the residuals are
+//! those of scenes left out of the fit, so that they hold, about, for new scenes of the same kinds (as CV+ of Barber et al. 2021,
+//! without its correction for the number of scenes).
 
 mod file;
 mod regression;
@@ -18,7 +18,7 @@ mod tracker;
 pub use file::ERROR_MODEL_FILE;
 pub(crate) use file::{load, parse};
 pub use regression::{LEVELS, Linear, Regression};
-pub use tracker::{ErrorTracker, FEATURES, Features};
+pub use tracker::{ErrorTracker, FEATURES, Features, log_square, mean_squared_distance};
 
 #[cfg(test)]
 mod tests;
@@ -54,7 +54,7 @@ pub struct ErrorModel {
 pub struct CalibratedHorizon {
     /// Frames ahead.
     pub frames: u32,
-    /// Of ln(mean squared position error) (domain lengths squared).
+    /// Of [`log_square`] of the mean squared position error.
     pub error: Regression,
     /// The logit of the probability that a ballistic prediction has a smaller error.
     pub worse_than_ballistic: Linear,
@@ -67,38 +67,40 @@ pub struct ErrorEstimate {
     pub horizon: u32,
     /// Median of the root mean square position error over the particles (domain lengths).
     pub expected: f32,
-    /// The root mean square position error is below this with a probability of [`UPPER_LEVEL`] (domain lengths).
+    /// About [`UPPER_LEVEL`] of the root mean square position errors of such predictions are below this (domain lengths).
     pub upper: f32,
     /// Probability that a ballistic prediction has a smaller error.
     pub worse_than_ballistic: f32,
 }
 
 impl ErrorModel {
-    /// The estimate for a prediction `horizon` frames ahead: interpolated between calibrated numbers of frames in ln(horizon).
-    /// `None` beyond the last of them.
-    pub fn estimate(&self, features: &Features, horizon: u32) -> Option<ErrorEstimate> {
+    /// The estimates `horizon` frames ahead: interpolated between calibrated numbers of frames in ln(horizon), those of the first
+    /// before it. `None` beyond the last.
+    pub fn at(&self, horizon: u32) -> Option<CalibratedHorizon> {
         let after = self.horizons.iter().position(|at| at.frames >= horizon)?;
-        let [from, to] = [after.saturating_sub(1), after].map(|at| &self.horizons[at]);
-        let part = match (horizon.checked_sub(from.frames), to.frames - from.frames) {
-            (Some(beyond), 1..) if beyond > 0 => {
-                let ln = |frames: u32| f64::from(frames).ln();
-                ((ln(horizon) - ln(from.frames)) / (ln(to.frames) - ln(from.frames))) as f32
-            }
-            _ => 0.0,
+        let to = &self.horizons[after];
+        let Some(from) = after.checked_sub(1).map(|before| &self.horizons[before]) else {
+            return Some(CalibratedHorizon { frames: horizon, ..to.clone() });
         };
-        // At or before the first calibrated number of frames, both are the same.
-        let [from, to] = if to.frames == horizon { [to, to] } else { [from, to] };
-        let mix = |[a, b]: [f32; 2]| a + part * (b - a);
-        let quantile = |level: f32| {
-            let of = |at: &CalibratedHorizon| at.error.quantile(features, level);
-            (0.5 * mix([of(from), of(to)])).exp()
-        };
-        let probability = |at: &CalibratedHorizon| at.worse_than_ballistic.probability(features);
-        Some(ErrorEstimate {
-            horizon,
+        let [ln, ln_from, ln_to] = [horizon, from.frames, to.frames].map(|n| f64::from(n).ln());
+        let part = ((ln - ln_from) / (ln_to - ln_from)) as f32;
+        Some(CalibratedHorizon {
+            frames: horizon,
+            error: from.error.towards(&to.error, part),
+            worse_than_ballistic: from.worse_than_ballistic.towards(&to.worse_than_ballistic, part),
+        })
+    }
+}
+
+impl CalibratedHorizon {
+    /// The estimate for a prediction.
+    pub fn estimate(&self, features: &Features) -> ErrorEstimate {
+        let quantile = |level: f32| (0.5 * self.error.quantile(features, level)).exp();
+        ErrorEstimate {
+            horizon: self.frames,
             expected: quantile(0.5),
             upper: quantile(UPPER_LEVEL),
-            worse_than_ballistic: mix([probability(from), probability(to)]),
-        })
+            worse_than_ballistic: self.worse_than_ballistic.probability(features),
+        }
     }
 }

@@ -41,6 +41,16 @@ impl Linear {
     pub fn probability(&self, features: &Features) -> f32 {
         1.0 / (1.0 + (-self.value(features)).exp())
     }
+
+    /// The function `part` of the way to another one.
+    pub(super) fn towards(&self, other: &Self, part: f32) -> Self {
+        let [intercept] = between(&[self.intercept], &[other.intercept], part);
+        Self { intercept, weights: between(&self.weights, &other.weights, part) }
+    }
+}
+
+fn between<const N: usize>(from: &[f32; N], to: &[f32; N], part: f32) -> [f32; N] {
+    std::array::from_fn(|k| from[k] + part * (to[k] - from[k]))
 }
 
 impl Regression {
@@ -49,9 +59,22 @@ impl Regression {
         self.linear.value(features) + interpolate(&LEVELS, &self.residuals, level)
     }
 
-    /// The level of a value in the distribution, between the first and the last of [`LEVELS`].
+    /// The level of a value in the distribution: 0 below the first of the stored quantiles, 1 above the last.
     pub fn level(&self, features: &Features, value: f32) -> f32 {
-        interpolate(&self.residuals, &LEVELS, value - self.linear.value(features))
+        let residual = value - self.linear.value(features);
+        match self.residuals {
+            [first, ..] if residual < first => 0.0,
+            [.., last] if residual > last => 1.0,
+            _ => interpolate(&self.residuals, &LEVELS, residual),
+        }
+    }
+
+    /// The function `part` of the way to another one, with residuals in between.
+    pub(super) fn towards(&self, other: &Self, part: f32) -> Self {
+        Self {
+            linear: self.linear.towards(&other.linear, part),
+            residuals: between(&self.residuals, &other.residuals, part),
+        }
     }
 }
 

@@ -40,24 +40,39 @@ fn features(first: f32, fifth: f32) -> Features {
 
 #[test]
 fn an_estimate_is_the_regression_with_the_quantiles_of_its_residuals() {
-    let found = model().estimate(&features(-6.0, 0.2), 2).unwrap();
+    let found = model().at(2).unwrap().estimate(&features(-6.0, 0.2));
     assert_eq!(found.horizon, 2);
     assert!((found.expected.ln() - 0.5 * (-2.0 - 6.0)).abs() < 1e-5, "{found:?}");
     assert!((found.upper / found.expected - (0.5f32 * 0.4 * 0.4).exp()).abs() < 1e-5, "{found:?}");
     // The logit is -0.2 + 0.2.
     assert!((found.worse_than_ballistic - 0.5).abs() < 1e-5, "{found:?}");
-    let doubtful = model().estimate(&features(-6.0, 1.2), 2).unwrap();
+    let doubtful = model().at(2).unwrap().estimate(&features(-6.0, 1.2));
     assert!((doubtful.worse_than_ballistic - 0.731_059).abs() < 1e-5, "{doubtful:?}");
+}
+
+#[test]
+fn levels_of_values_are_those_of_their_quantiles_and_beyond_them_0_or_1() {
+    let CalibratedHorizon { error, .. } = &model().horizons[0];
+    let features = features(-6.0, 0.0);
+    for level in [LEVELS[0], 0.33, 0.5, LEVELS[20]] {
+        let value = error.quantile(&features, level);
+        assert!((error.level(&features, value) - level).abs() < 1e-5, "{level}");
+    }
+    let [lowest, highest] = [0.0, 1.0].map(|level| error.quantile(&features, level));
+    assert_eq!(error.level(&features, lowest - 0.01), 0.0);
+    assert_eq!(error.level(&features, highest + 0.01), 1.0);
 }
 
 #[test]
 fn between_calibrated_horizons_logarithms_are_interpolated_and_beyond_there_is_no_estimate() {
     let (model, features) = (model(), features(-6.0, 0.0));
-    let expected = |horizon| model.estimate(&features, horizon).unwrap().expected.ln();
+    let estimate = |horizon| model.at(horizon).unwrap().estimate(&features);
+    let expected = |horizon| estimate(horizon).expected.ln();
     // 4 is half way from 2 to 8.
     assert!((expected(4) - 0.5 * (expected(2) + expected(8))).abs() < 1e-5);
     assert_eq!(expected(1), expected(2));
-    assert_eq!(model.estimate(&features, 9), None);
+    assert_eq!(estimate(5).horizon, 5);
+    assert_eq!(model.at(9), None);
 }
 
 #[test]
@@ -84,8 +99,7 @@ fn a_file_is_read_as_it_was_written_and_a_damaged_one_is_rejected_by_its_field()
     }
     let mut falling = model();
     falling.horizons[0].error.residuals.reverse();
-    falling.save(folder.path()).unwrap();
-    let error = load(folder.path()).unwrap_err();
+    let error = falling.save(folder.path()).unwrap_err();
     let expected = "horizons[0].error.residuals";
     assert!(matches!(&error, CheckpointError::Field { field, .. } if field == expected));
     fs::remove_file(file).unwrap();
@@ -134,6 +148,13 @@ fn features_are_the_errors_and_motions_that_a_stream_has_shown() {
         assert!((length(found) - expected).abs() < 1e-4, "{found}: {expected}");
     }
     assert_eq!(found[4..], [0.5, 0.0, 0.0], "shares of liquid, snow and jelly");
+
+    // A prediction that is not finite is not compared.
+    let before = tracker.clone();
+    tracker.observe(&FrameView::from(&frame(0.8, -0.3)), Some(&frame(f32::NAN, 0.0)));
+    assert_eq!((tracker.recent, tracker.compared), (before.recent, 1));
+    tracker.forget();
+    assert_eq!(tracker.features(&frame(0.7, 0.0), 1), None);
 }
 
 #[test]

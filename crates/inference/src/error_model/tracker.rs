@@ -7,12 +7,27 @@ use eddy_frames::{Domain, Frame, FrameView, Material};
 /// Number of features.
 pub const FEATURES: usize = 7;
 
-/// Frames over which recent errors and motion are averaged.
-const MEMORY: u32 = 8;
+/// Number of comparisons that are averaged with equal weights; from then on the average is exponential with this time constant.
+const AVERAGED_FRAMES: u32 = 8;
 
 /// Added to squared lengths before their logarithm is taken (domain lengths squared): a thousandth of a particle's distance to
 /// its neighbours is far below any error that matters.
 const SMALL: f64 = 1e-10;
+
+/// The natural logarithm of a mean square (domain lengths squared), finite also for 0.
+pub fn log_square(square: f64) -> f32 {
+    (square + SMALL).ln() as f32
+}
+
+/// Mean of |x - x'|^2 over particles (domain lengths squared), for positions `[N, 2]`, subtracted in double precision.
+pub fn mean_squared_distance(a: &[[f32; 2]], b: &[[f32; 2]]) -> f64 {
+    a.iter().zip(b).map(|(&a, &b)| squared(a, b)).sum::<f64>() / b.len() as f64
+}
+
+fn squared(a: [f32; 2], b: [f32; 2]) -> f64 {
+    let [x, y] = [0, 1].map(|axis| f64::from(a[axis]) - f64::from(b[axis]));
+    x * x + y * y
+}
 
 /// Features of a prediction, in this order:
 ///
@@ -25,7 +40,7 @@ pub struct Features(pub [f32; FEATURES]);
 
 /// Mean squared distances (domain lengths squared).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Squares {
+pub(super) struct Squares {
     /// Of one-step predictions.
     error: f64,
     /// Of the truth from a ballistic step.
@@ -44,9 +59,9 @@ pub struct ErrorTracker {
     /// Frames that it is ahead.
     ahead: u32,
     /// Averages over the last predictions that could be compared with the truth.
-    recent: Squares,
-    /// Number of them, up to [`MEMORY`].
-    compared: u32,
+    pub(super) recent: Squares,
+    /// Number of them, up to [`AVERAGED_FRAMES`].
+    pub(super) compared: u32,
 }
 
 /// Positions and velocities, `[N, 2]` each.
@@ -74,6 +89,11 @@ impl ErrorTracker {
         }
     }
 
+    /// Forgets what was observed: for a stream that was interrupted.
+    pub fn forget(&mut self) {
+        (self.recent, self.compared, self.ahead) = (Squares::default(), 0, 0);
+    }
+
     /// Observes the next frame. `predicted` is the prediction of this frame from the frame before it, if both exist.
     pub fn observe(&mut self, frame: &FrameView<'_>, predicted: Option<&Frame>) {
         let motions = || (0..frame.particles.len()).map(|n| frame.particles.motion(n));
@@ -98,7 +118,11 @@ impl ErrorTracker {
             sums.error += squared(predicted, x);
             sums.departure += squared(self.ballistic.step(last_x, last_v).0, x);
         }
-        self.compared = (self.compared + 1).min(MEMORY);
+        // A prediction that was not finite was not published, either.
+        if !sums.error.is_finite() {
+            return;
+        }
+        self.compared = (self.compared + 1).min(AVERAGED_FRAMES);
         let weight = 1.0 / f64::from(self.compared);
         let count = self.observed.position.len() as f64;
         let Squares { error, departure } = &mut self.recent;
@@ -113,11 +137,10 @@ impl ErrorTracker {
             return None;
         }
         self.extrapolate(horizon);
-        let mean_square = |from: &Motion| mean_square(&from.position, &predicted.position);
+        let distance = |from: &Motion| mean_squared_distance(&from.position, &predicted.position);
         let Squares { error, departure } = self.recent;
-        let [ballistic, travelled] = [&self.extrapolated, &self.observed].map(mean_square);
-        let [a, b, c, d] =
-            [error, departure, ballistic, travelled].map(|square| (square + SMALL).ln() as f32);
+        let [ballistic, travelled] = [&self.extrapolated, &self.observed].map(distance);
+        let [a, b, c, d] = [error, departure, ballistic, travelled].map(log_square);
         let [liquid, snow, jelly] = self.shares;
         Some(Features([a, b, c, d, liquid, snow, jelly]))
     }
@@ -130,17 +153,15 @@ impl ErrorTracker {
         predicted: &Frame,
         horizon: u32,
     ) -> Option<ErrorEstimate> {
-        if model.horizons.last()?.frames < horizon {
-            return None;
-        }
-        model.estimate(&self.features(predicted, horizon)?, horizon)
+        let calibrated = model.at(horizon)?;
+        Some(calibrated.estimate(&self.features(predicted, horizon)?))
     }
 
     /// Mean squared distance of positions, `[N, 2]`, from the ballistic extrapolation `horizon` frames after the last observed
     /// frame (domain lengths squared).
     pub fn ballistic_error(&mut self, truth: &[[f32; 2]], horizon: u32) -> f64 {
         self.extrapolate(horizon);
-        mean_square(&self.extrapolated.position, truth)
+        mean_squared_distance(&self.extrapolated.position, truth)
     }
 
     fn extrapolate(&mut self, horizon: u32) {
@@ -156,14 +177,4 @@ impl ErrorTracker {
         }
         self.ahead = horizon;
     }
-}
-
-fn squared(a: [f32; 2], b: [f32; 2]) -> f64 {
-    let [x, y] = [0, 1].map(|axis| f64::from(a[axis] - b[axis]));
-    x * x + y * y
-}
-
-/// Mean squared distance (domain lengths squared).
-fn mean_square(a: &[[f32; 2]], b: &[[f32; 2]]) -> f64 {
-    a.iter().zip(b).map(|(&a, &b)| squared(a, b)).sum::<f64>() / a.len().max(1) as f64
 }

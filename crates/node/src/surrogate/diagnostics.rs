@@ -29,8 +29,8 @@ pub struct Monitor {
     latency: Histogram<u64>,
     last: Counters,
     rejection: Option<String>,
-    /// The prediction of each stream with the largest expected error.
-    errors: BTreeMap<u64, ErrorEstimate>,
+    /// The largest expected error of the predictions of each stream.
+    expected_errors: BTreeMap<u64, ErrorEstimate>,
     /// State of a managed node that is not active.
     idle: Option<&'static str>,
 }
@@ -57,7 +57,7 @@ impl Monitor {
             latency,
             last: Counters::default(),
             rejection: None,
-            errors: BTreeMap::new(),
+            expected_errors: BTreeMap::new(),
             idle: None,
         }
     }
@@ -75,8 +75,8 @@ impl Monitor {
     }
 
     /// Records how far a prediction is expected to be off; the largest of each stream is reported.
-    pub fn estimated(&mut self, stream: u64, error: ErrorEstimate) {
-        let largest = self.errors.entry(stream).or_insert(error);
+    pub fn expects(&mut self, stream: u64, error: ErrorEstimate) {
+        let largest = self.expected_errors.entry(stream).or_insert(error);
         if error.expected >= largest.expected {
             *largest = error;
         }
@@ -111,7 +111,11 @@ impl Monitor {
         max_expected_error: Option<f64>,
     ) -> DiagnosticArray {
         let Rates { rate, latency_p50, latency_p99 } = self.rates(now);
-        let (level, message) = self.level(counters, max_expected_error);
+        let expected_errors = self.largest_expected_errors();
+        let too_large = max_expected_error
+            .filter(|&most| most > 0.0)
+            .and_then(|most| above(most, expected_errors.first()?));
+        let (level, message) = self.level(counters, too_large);
         let milliseconds = |latency: Duration| format!("{:.3}", latency.as_secs_f64() * 1e3);
         let mut values = vec![
             value("rate (1/s)", format!("{rate:.1}")),
@@ -121,7 +125,7 @@ impl Monitor {
         ];
         values.extend(counters.named().map(|(key, count)| value(key, count.to_string())));
         values.extend(losses(counters));
-        values.extend(self.expected_errors().into_iter().flatten());
+        values.extend(expected(&expected_errors).into_iter().flatten());
         values.extend(group(counters).into_iter().flatten());
         *self = Self { last: counters.clone(), ..Self::start(now) };
         let status = DiagnosticStatus {
@@ -137,7 +141,7 @@ impl Monitor {
         }
     }
 
-    fn level(&self, counters: &Counters, max_expected_error: Option<f64>) -> (Level, String) {
+    fn level(&self, counters: &Counters, too_large: Option<String>) -> (Level, String) {
         if counters.diverged > self.last.diverged {
             (Level::Error, "a prediction was not finite; its stream was reset".to_owned())
         } else if let Some(reason) = &self.rejection {
@@ -152,48 +156,50 @@ impl Monitor {
             )
         } else if counters.lost() > self.last.lost() {
             (Level::Warn, "frames were lost".to_owned())
-        } else if let Some(most) = max_expected_error
-            && let Some((stream, error)) = self.largest_errors().next()
-            && f64::from(error.expected) > most
-        {
-            (
-                Level::Warn,
-                format!(
-                    "stream {stream}: the error {} frames ahead is expected to be {:.4} domain lengths, above \
-                     max_expected_error {most}",
-                    error.horizon, error.expected
-                ),
-            )
+        } else if let Some(message) = too_large {
+            (Level::Warn, message)
         } else {
             (Level::Ok, self.idle.unwrap_or("predicting").to_owned())
         }
     }
 
     /// Streams in descending order of their expected errors.
-    fn largest_errors(&self) -> impl Iterator<Item = (u64, &ErrorEstimate)> {
+    fn largest_expected_errors(&self) -> Vec<(u64, ErrorEstimate)> {
         let mut errors: Vec<_> =
-            self.errors.iter().map(|(&stream, error)| (stream, error)).collect();
+            self.expected_errors.iter().map(|(&id, &error)| (id, error)).collect();
         errors.sort_by(|(_, a), (_, b)| b.expected.total_cmp(&a.expected));
-        errors.into_iter()
+        errors
     }
+}
 
-    /// The largest expected error, and those of several streams with their horizons.
-    fn expected_errors(&self) -> Option<[KeyValue; 2]> {
-        let (_, largest) = self.largest_errors().next()?;
-        let named = self.largest_errors().take(NAMED).map(|(stream, error)| {
-            let ErrorEstimate { horizon, expected, upper, worse_than_ballistic } = error;
-            let percent = 100.0 * worse_than_ballistic;
-            let level = 100.0 * UPPER_LEVEL;
-            format!(
-                "{stream}: {expected:.4} at {horizon} ({level:.0} % below {upper:.4}, {percent:.0} % worse than ballistic)"
-            )
-        });
-        let named = named.collect::<Vec<_>>().join(", ");
-        Some([
-            value("largest expected error (domain lengths)", format!("{:.4}", largest.expected)),
-            value("expected error (domain lengths) at frames ahead, by stream", named),
-        ])
-    }
+/// A warning if the expected error of a stream is above `most` (domain lengths).
+fn above(most: f64, (stream, error): &(u64, ErrorEstimate)) -> Option<String> {
+    let ErrorEstimate { horizon, expected, .. } = error;
+    (f64::from(*expected) > most).then(|| {
+        format!(
+            "stream {stream}: the error {horizon} frames ahead is expected to be {expected:.4} domain lengths, above \
+             max_expected_error {most}"
+        )
+    })
+}
+
+/// The largest expected error, and those of several streams with their horizons.
+fn expected(errors: &[(u64, ErrorEstimate)]) -> Option<[KeyValue; 2]> {
+    let (_, largest) = errors.first()?;
+    let named = errors.iter().take(NAMED).map(|(stream, error)| {
+        let ErrorEstimate { horizon, expected, upper, worse_than_ballistic } = error;
+        let [level, worse] = [UPPER_LEVEL, *worse_than_ballistic].map(|share| 100.0 * share);
+        format!(
+            "{stream}: {expected:.4} at {horizon} ({level:.0} % below {upper:.4}, {worse:.0} % worse than ballistic)"
+        )
+    });
+    Some([
+        value("largest expected error (domain lengths)", format!("{:.4}", largest.expected)),
+        value(
+            "expected error (domain lengths) at frames ahead, by stream",
+            named.collect::<Vec<_>>().join(", "),
+        ),
+    ])
 }
 
 /// Streams that a report names at most.
@@ -281,7 +287,7 @@ mod tests {
         };
         let mut monitor = Monitor::start(Duration::ZERO);
         for (stream, expected, horizon) in [(1, 0.02, 20), (2, 0.0625, 9), (2, 0.04, 10)] {
-            monitor.estimated(stream, estimate(expected, horizon));
+            monitor.expects(stream, estimate(expected, horizon));
         }
         let status = report(&mut monitor, 1, &Counters::default());
         assert_eq!(status.level, Level::Warn as u8);
@@ -296,7 +302,7 @@ mod tests {
             "2: 0.0625 at 9 (90 % below 0.1250, 25 % worse than ballistic), \
              1: 0.0200 at 20 (90 % below 0.0400, 25 % worse than ballistic)"
         );
-        monitor.estimated(1, estimate(0.02, 20));
+        monitor.expects(1, estimate(0.02, 20));
         assert_eq!(report(&mut monitor, 2, &Counters::default()).level, Level::Ok as u8);
         assert_eq!(
             report(&mut monitor, 3, &Counters::default()).values.len(),

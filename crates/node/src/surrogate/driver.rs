@@ -551,8 +551,8 @@ impl Output<'_> {
             self.failures.log(self.clock.now(), output.status.publish_cdr(&self.bytes));
         }
         self.monitor.published(1, self.clock.now() - arrived);
-        if let Some(error) = prediction.error {
-            self.monitor.estimated(prediction.frame.stream, error);
+        if let Some(error) = prediction.expected_error {
+            self.monitor.expects(prediction.frame.stream, error);
         }
         // Point clouds and observers come last: predictions do not wait for them.
         for cloud in self.outputs.iter_mut().filter_map(|output| output.prediction_cloud.as_mut()) {

@@ -299,8 +299,8 @@ impl SurrogateNode {
             }
             let ahead = frame.sequence - stream.sequence;
             let horizon = u32::try_from(ahead).unwrap_or(u32::MAX);
-            let error = match (&mut stream.errors, self.surrogate.error_model()) {
-                (Some(errors), Some(model)) => errors.estimate(model, frame, horizon),
+            let expected_error = match (&mut stream.error_tracker, self.surrogate.error_model()) {
+                (Some(tracker), Some(model)) => tracker.estimate(model, frame, horizon),
                 _ => None,
             };
             output(
@@ -310,7 +310,7 @@ impl SurrogateNode {
                     horizon,
                     state: Phase::FreeRunning,
                     frame,
-                    error,
+                    expected_error,
                 }),
             );
         }
@@ -360,6 +360,7 @@ impl SurrogateNode {
                     counters.resets += 1;
                     // The particles are the same: the rest shape of solids stays valid.
                     state.memory.forget();
+                    state.error_tracker.iter_mut().for_each(ErrorTracker::forget);
                     state.observed = 0;
                     Some(0)
                 }
@@ -394,14 +395,14 @@ impl SurrogateNode {
                 false => tracing::debug!("stream {}: {warning}", frame.stream),
             }
         }
-        let errors = self.surrogate.error_model().map(|_| {
+        let error_tracker = self.surrogate.error_model().map(|_| {
             ErrorTracker::new(self.surrogate.description(), &frame.domain, &frame.material)
         });
         let state = StreamState {
             memory,
             predicted: frame.clone(),
             spare: frame.clone(),
-            errors,
+            error_tracker,
             sequence: frame.sequence,
             stamp: frame.stamp,
             observed: 0,

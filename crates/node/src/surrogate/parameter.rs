@@ -40,6 +40,16 @@ impl Values {
         }
     }
 
+    /// A value as a double if it is whole and a number is expected.
+    pub(super) fn with_kind(&self, value: &ParameterValue) -> ParameterValue {
+        match (self, value.kind()) {
+            (Self::Number { .. }, Ok(ParameterKind::Integer)) => {
+                ParameterValue::double(value.integer_value as f64)
+            }
+            _ => value.clone(),
+        }
+    }
+
     /// The values of a text in words; nothing otherwise.
     pub(super) fn words(&self) -> String {
         match self {

@@ -237,11 +237,6 @@ impl NodeSettings {
             let range = 1..=i64::MAX;
             return Err(InvalidSettings::Range { field: "free_run", found: 0, range });
         }
-        if let Some(found) = self.max_expected_error.filter(|&found| found.is_nan() || found <= 0.0)
-        {
-            let range = f64::MIN_POSITIVE..=1e6;
-            return Err(InvalidSettings::NumberRange { field: "max_expected_error", found, range });
-        }
         PARAMETERS.iter().try_for_each(|spec| spec.check(&spec.get(self)))
     }
 
@@ -252,8 +247,9 @@ impl NodeSettings {
     pub fn set(&mut self, Parameter { name, value }: &Parameter) -> Result<(), InvalidSettings> {
         let spec =
             parameter(name).ok_or_else(|| InvalidSettings::Unknown { found: name.clone() })?;
-        spec.check(value)?;
-        (spec.set)(self, value);
+        let value = spec.values.with_kind(value);
+        spec.check(&value)?;
+        (spec.set)(self, &value);
         Ok(())
     }
 
@@ -335,6 +331,16 @@ mod tests {
                 "group: found `a/b`, expected a name of letters, digits and _, or nothing",
             ),
             ("cloud", ParameterValue::integer(1), "cloud: found an integer, expected a bool"),
+            (
+                "max_expected_error",
+                ParameterValue::double(f64::NAN),
+                "max_expected_error: found NaN, expected 0 to 1000000",
+            ),
+            (
+                "max_expected_error",
+                ParameterValue::integer(-1),
+                "max_expected_error: found -1, expected 0 to 1000000",
+            ),
             ("max_gap", ParameterValue::integer(-1), "max_gap: found -1, expected 0 to 1000"),
             (
                 "depth",
@@ -349,6 +355,17 @@ mod tests {
         let message = settings.set(&of("queue", odd)).unwrap_err().to_string();
         assert_eq!(message, "queue: found a value of unknown type, expected an integer");
         assert_eq!(settings, NodeSettings::default());
+    }
+
+    #[test]
+    fn a_number_may_be_whole_and_0_is_off() {
+        let mut settings = NodeSettings::default();
+        settings.set(&of("max_expected_error", ParameterValue::integer(2))).unwrap();
+        assert_eq!(settings.max_expected_error, Some(2.0));
+        settings.set(&of("max_expected_error", ParameterValue::integer(0))).unwrap();
+        assert_eq!(settings.max_expected_error, None);
+        let file: NodeSettings = toml::from_str("max_expected_error = 0").unwrap();
+        assert_eq!(file.check(), Ok(()));
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub struct Prediction<'a> {
     /// Whether the stream is observed or in a free run.
     pub state: Phase,
     /// How far off it is expected to be, if the model is calibrated for such a horizon.
-    pub error: Option<ErrorEstimate>,
+    pub expected_error: Option<ErrorEstimate>,
 }
 
 impl Prediction<'_> {
@@ -52,8 +52,8 @@ pub(super) struct HorizonBuffers {
     /// Copy of the stream's hidden state, advanced to the horizon.
     memory: Option<HiddenState>,
     frames: Vec<Frame>,
-    /// Estimates for the published frames.
-    errors: Vec<Option<ErrorEstimate>>,
+    /// How far off the published frames are expected to be.
+    expected_errors: Vec<Option<ErrorEstimate>>,
 }
 
 /// One stream and the frame that it observes next.
@@ -101,13 +101,13 @@ impl Step<'_> {
             }
             return if self.tracking { self.look_ahead(beyond, settings) } else { None };
         }
-        let StreamState { memory: hidden, predicted: next, spare, errors, observed, .. } =
+        let StreamState { memory: hidden, predicted: next, spare, error_tracker, observed, .. } =
             &mut *self.stream;
         if number == self.gap {
-            if let Some(errors) = errors {
+            if let Some(tracker) = error_tracker {
                 // A frame that was predicted from a prediction says nothing about one step.
                 let is_of_one_step = self.gap == 0 && *observed > 0;
-                errors.observe(&self.frame, is_of_one_step.then_some(&*next));
+                tracker.observe(&self.frame, is_of_one_step.then_some(&*next));
             }
             return Some(StepRequest { hidden, frame: self.frame, next });
         }
@@ -154,20 +154,19 @@ impl Step<'_> {
 
     /// After the last of [`Step::next`].
     pub(super) fn finish(&mut self, settings: &NodeSettings) {
-        let Self { stream, buffers: HorizonBuffers { frames, errors, .. }, .. } = self;
-        let StreamState { predicted, errors: tracker, .. } = &mut **stream;
-        errors.clear();
+        let Self { stream, buffers: HorizonBuffers { frames, expected_errors, .. }, .. } = self;
+        let StreamState { predicted, error_tracker, .. } = &mut **stream;
+        expected_errors.clear();
         self.finite = true;
         if !self.tracking {
             return;
         }
         for (frame, horizon) in published(predicted, frames, settings) {
             self.finite &= frame.check().is_ok();
-            let estimate = match (&mut *tracker, self.error_model) {
+            expected_errors.push(match (&mut *error_tracker, self.error_model) {
                 (Some(tracker), Some(model)) => tracker.estimate(model, frame, horizon),
                 _ => None,
-            };
-            errors.push(estimate);
+            });
         }
     }
 
@@ -176,14 +175,14 @@ impl Step<'_> {
         &self,
         settings: &NodeSettings,
     ) -> impl Iterator<Item = Prediction<'_>> {
-        let HorizonBuffers { frames, errors, .. } = &*self.buffers;
+        let HorizonBuffers { frames, expected_errors, .. } = &*self.buffers;
         let frames = published(&self.stream.predicted, frames, settings);
-        frames.zip(errors).map(|((frame, horizon), &error)| Prediction {
+        frames.zip(expected_errors).map(|((frame, horizon), &expected_error)| Prediction {
             frame,
             source_sequence: self.stream.sequence,
             horizon,
             state: Phase::Tracking,
-            error,
+            expected_error,
         })
     }
 }

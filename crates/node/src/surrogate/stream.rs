@@ -15,8 +15,8 @@ pub(super) struct StreamState {
     pub predicted: Frame,
     /// Scratch frame for a prediction that replaces a missing frame.
     pub spare: Frame,
-    /// What estimates of errors are made from, if the model is calibrated.
-    pub errors: Option<ErrorTracker>,
+    /// What errors are estimated from, if the model is calibrated.
+    pub error_tracker: Option<ErrorTracker>,
     /// Sequence of the last observed frame.
     pub sequence: u64,
     /// Stamp of the last observed frame.

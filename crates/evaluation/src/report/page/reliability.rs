@@ -12,7 +12,7 @@ impl Report {
         section.paragraph(
             "A calibrated model estimates the error of each of its predictions when it makes them. Left: the share of errors below \
              each estimated quantile. Right: the estimated probability that a ballistic prediction is better beside the share of \
-             predictions for which it was. Estimates that hold are on the diagonal.",
+             predictions for which it was; its walls are those that the checkpoint knows. Estimates that hold are on the diagonal. Those between calibrated numbers of frames are interpolated.",
         );
         let plots = self.estimating().flat_map(|entry| {
             let title = |what: &str| format!("{}: {what}", entry.name);

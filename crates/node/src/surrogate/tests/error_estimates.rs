@@ -42,7 +42,7 @@ fn estimates(node: &mut SurrogateNode, frames: Vec<Frame>) -> Estimates {
     let mut arrivals: Vec<_> =
         frames.into_iter().map(|frame| (Duration::ZERO, Payload::Frame(frame))).collect();
     node.on_frames(&mut arrivals, None, &mut |_, result| {
-        found.extend(result.ok().map(|prediction| (prediction.horizon, prediction.error)));
+        found.extend(result.ok().map(|prediction| (prediction.horizon, prediction.expected_error)));
     });
     found
 }
@@ -108,6 +108,17 @@ fn a_frame_after_a_gap_is_not_compared_with_a_prediction_over_the_gap() {
 }
 
 #[test]
+fn nothing_is_estimated_after_a_long_gap_until_a_prediction_was_compared_again() {
+    let mut node = SurrogateNode::new(calibrated(), NodeSettings::default()).unwrap();
+    let frames = |sequences: &[u64]| sequences.iter().map(|&s| frame(1, s)).collect();
+    estimates(&mut node, frames(&[0, 1, 2, 3]));
+    let found = estimates(&mut node, frames(&[20, 21, 22]));
+    assert_eq!(node.counters().resets, 1);
+    assert_eq!(found, directly_estimated(&[20, 21, 22], &[21, 22], &[1]));
+    assert!(found[0].1.is_some());
+}
+
+#[test]
 fn a_free_run_is_estimated_from_the_last_observed_frame() {
     let settings = NodeSettings { free_run: Some(5), ..NodeSettings::default() };
     let mut node = SurrogateNode::new(calibrated(), settings).unwrap();
@@ -116,7 +127,9 @@ fn a_free_run_is_estimated_from_the_last_observed_frame() {
     for _ in 0..5 {
         let due = node.next_tick().unwrap();
         node.on_tick(due, &mut |_, result| {
-            found.extend(result.ok().map(|prediction| (prediction.horizon, prediction.error)));
+            found.extend(
+                result.ok().map(|prediction| (prediction.horizon, prediction.expected_error)),
+            );
         });
     }
     let sequences: Vec<u64> = (0..5).collect();
