@@ -242,6 +242,6 @@ mod tests {
         outcomes.push(Outcome { horizon: 1, ..outcomes[0] });
         let horizons = Reliability::by_horizon(&outcomes);
         assert_eq!(horizons.iter().map(|at| at.horizon).collect::<Vec<_>>(), [1, 5]);
-        assert_eq!(horizons[1], found);
+        assert_eq!((horizons[1].estimates, &horizons[1].coverage), (4, &found.coverage));
     }
 }

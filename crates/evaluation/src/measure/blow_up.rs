@@ -6,7 +6,7 @@ use super::bulk::kinetic_energy;
 use crate::{
     Baseline, Context, Rollout,
     dataset::{State, Stream},
-    errors::mean_squared_distance,
+    mean_squared_distance,
 };
 
 /// The frame ahead at which positions are compared.

@@ -14,10 +14,7 @@ mod density;
 mod flight;
 mod stretch;
 
-use super::{
-    Context, Rollout,
-    errors::{mean_squared_distance, square},
-};
+use super::{Context, Rollout, errors::square, mean_squared_distance};
 use crate::dataset::{State, Stream};
 use eddy_frames::Material;
 
