@@ -30,7 +30,8 @@ export PATH="$venv/bin:$PATH"
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# The module and the program from one build: what both use is compiled once.
+# The module and the program from one build: what both use is compiled once. They are packed without symbols and build id, a hash
+# over symbol names: rustc does not choose these the same in every build.
 cd "$root"
 if [ -n "$portable" ]; then
     cargo zigbuild --release --locked --workspace --target "$target.2.28"
@@ -38,12 +39,12 @@ if [ -n "$portable" ]; then
     # rustc's own, for any architecture: that of zig 0.15 is not implemented.
     rust=$(rustc --print sysroot)
     objcopy="$rust/lib/rustlib/$(rustc --print host-tuple)/bin/rust-objcopy"
-    strip() { LD_LIBRARY_PATH="$rust/lib" "$objcopy" --strip-all "$1" "$2"; }
+    strip() { LD_LIBRARY_PATH="$rust/lib" "$objcopy" --strip-all --remove-section=.note.gnu.build-id "$1" "$2"; }
     tag="manylinux_2_28_${target%%-*}"
 else
     cargo build --release --locked --workspace
     built="$CARGO_TARGET_DIR/release"
-    strip() { command strip -o "$2" "$1"; }
+    strip() { command strip --remove-section=.note.gnu.build-id -o "$2" "$1"; }
     tag="linux_${target%%-*}"
 fi
 strip "$built/lib_eddy.so" "$work/lib_eddy.so"

@@ -17,7 +17,8 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 tree="$work/eddy"
 
-strip -o "$work/program" "$program"
+# The build id is a hash over symbol names, which rustc does not choose the same in every build.
+strip --remove-section=.note.gnu.build-id -o "$work/program" "$program"
 install -D "$work/program" "$tree/usr/bin/eddy"
 
 "$program" --quiet man "$work/man"
