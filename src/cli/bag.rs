@@ -6,7 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use regex::Regex;
 
 use super::{RecordArgs, ReplayArgs};
-use eddy_bag::{Compression, Moment};
+use eddy_bag::{BagTime, Compression};
 use eddy_evaluation::dataset::TRUTH_TOPIC;
 use eddy_exchange::{ExportFormat, ImportFormat};
 use eddy_frames::Material;
@@ -96,10 +96,10 @@ pub struct CutArgs {
     /// Start time: recorded seconds since the first message, such as 2.5, or a log time, such as 1700000000000000000ns
     /// [default: the first message].
     #[arg(long, value_name = "TIME")]
-    pub start: Option<Moment>,
+    pub start: Option<BagTime>,
     /// End time (exclusive), in the same format as --start [default: after the last message].
     #[arg(long, value_name = "TIME", conflicts_with = "duration")]
-    pub end: Option<Moment>,
+    pub end: Option<BagTime>,
     /// Duration from the start time (recorded s).
     #[arg(long, value_name = "SECONDS", value_parser = super::values::positive_seconds)]
     pub duration: Option<f64>,

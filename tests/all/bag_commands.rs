@@ -351,7 +351,7 @@ fn equal_findings_are_grouped_and_a_loop_is_no_damage() {
     assert_eq!(
         said,
         "topic /particles, stream 0: found sequence 2 after 0, expected 1 (and 4 more of this kind)\n\
-         topic /particles, stream 0: found sequence 9 again or late, expected 11\n"
+         topic /particles, stream 0: found sequence 9 (repeated or late), expected 11\n"
     );
     assert!(error.contains("gaps: 6 problems found"), "{error}");
 

@@ -18,7 +18,7 @@ mod repair;
 mod write;
 
 pub use edit::{
-    CopyOptions, InvalidMoment, Moment, TopicFilter, clouds, extract, merge, without_cloud,
+    BagTime, CopyOptions, InvalidBagTime, TopicFilter, clouds, extract, merge, topics_without_cloud,
 };
 pub use error::BagError;
 pub use format::{

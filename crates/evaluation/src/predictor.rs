@@ -37,9 +37,9 @@ pub enum Predictor<'a> {
     Truth,
 }
 
-/// Frames ahead at which estimates of errors are compared with the errors: those of other results, and some in between, whose
-/// estimates are interpolated.
-const JUDGED_FRAMES: [u32; 9] = [1, 3, 5, 10, 20, 30, 50, 70, 100];
+/// Frames ahead at which estimates of errors are compared with the errors: those of other results, and some in between, of which
+/// 7, 30 and 70 are interpolated.
+const JUDGED_FRAMES: [u32; 10] = [1, 3, 5, 7, 10, 20, 30, 50, 70, 100];
 
 /// Results beside the rollouts themselves.
 pub(super) struct RolloutOutcome {

@@ -121,15 +121,15 @@ fn bag(bytes: &[u8]) {
         }
         let mut survey = Survey::of(&bag, |_| ());
         survey.check_files(&bag);
-        let go_on: &mut dyn FnMut() -> bool = &mut || true;
-        let options = CopyOptions { writer: WriterOptions::default(), go_on };
+        let on_message: &mut dyn FnMut() -> bool = &mut || true;
+        let options = CopyOptions { writer: WriterOptions::default(), on_message };
         if let Ok(copy) = extract(&bag, &Selection::default(), &at("copy"), options) {
             assert_eq!(copy.messages, read as u64, "a copy has every message");
         }
     }
     if let Ok(recovery) = Recovery::open(&file, &mut |_| true) {
-        let go_on: &mut dyn FnMut() -> bool = &mut || true;
-        let options = CopyOptions { writer: WriterOptions::default(), go_on };
+        let on_message: &mut dyn FnMut() -> bool = &mut || true;
+        let options = CopyOptions { writer: WriterOptions::default(), on_message };
         if let Ok(saved) = recovery.save(&at("saved"), options) {
             let bag = BagReader::open(&at("saved")).expect("recovered bags can be opened");
             assert!(bag.damage().is_none(), "recovered bags are undamaged: {:?}", bag.damage());

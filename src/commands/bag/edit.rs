@@ -14,8 +14,8 @@ use crate::{
     },
 };
 use eddy_bag::{
-    BagError, BagReader, BagSummary, CopyOptions, Moment, Selection, TopicFilter, clouds, extract,
-    merge as merged, without_cloud,
+    BagError, BagReader, BagSummary, BagTime, CopyOptions, Selection, TopicFilter, clouds, extract,
+    merge as merged, topics_without_cloud,
 };
 use eddy_frames::Stamp;
 use eddy_messages::{Message, ParticleFrame};
@@ -27,7 +27,7 @@ pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let start = bag.start().unwrap_or_default();
     let from = args.start.map(|moment| moment.in_bag(start));
     let end = match args.duration {
-        Some(seconds) => Some(Moment::After(seconds).in_bag(from.unwrap_or(start))),
+        Some(seconds) => Some(BagTime::After(seconds).in_bag(from.unwrap_or(start))),
         None => args.end.map(|moment| moment.in_bag(start)),
     };
     if let (Some(from), Some(end)) = (from, end) {
@@ -70,7 +70,7 @@ pub fn cloud(args: &CloudArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let bag = open(&args.bag)?;
     let (path, kind) = (args.bag.display(), ParticleFrame::TYPE);
     ensure!(
-        !without_cloud(&bag).is_empty(),
+        !topics_without_cloud(&bag).is_empty(),
         "{path}: no topic of {kind} without a point cloud topic beside it"
     );
     copy(std::slice::from_ref(&bag), &args.new, quiet, interrupt, |output, options| {
@@ -112,7 +112,8 @@ fn copy(
     let messages = bags.iter().map(BagReader::message_count).sum();
     let bar = progress_bar(messages, "messages", quiet);
     let writer = writer_options(new, bags);
-    let outcome = work(&new.output, CopyOptions { writer, go_on: &mut watch(&bar, interrupt) });
+    let outcome =
+        work(&new.output, CopyOptions { writer, on_message: &mut watch(&bar, interrupt) });
     bar.finish_and_clear();
     report(&outcome?);
     room.replaced();

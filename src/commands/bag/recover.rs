@@ -30,7 +30,7 @@ pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     )?;
     let writer = writer_options(&args.new, std::slice::from_ref(found.bag()));
     let bar = progress_bar(found.bag().message_count(), "messages", quiet);
-    let options = CopyOptions { writer, go_on: &mut watch(&bar, interrupt) };
+    let options = CopyOptions { writer, on_message: &mut watch(&bar, interrupt) };
     let outcome = found.save(&args.new.output, options);
     bar.finish_and_clear();
     let recovered = outcome?;

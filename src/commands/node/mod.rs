@@ -95,7 +95,7 @@ pub fn run(
     let renamed = links.renamed(ros);
     renamed.check(args.lifecycle, !settings.group.is_empty()).map_err(Usage::new)?;
     let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
-    let qos = TopicQos::of(ros.parameters())?;
+    let qos = TopicQos::from_parameters(ros.parameters())?;
 
     let checkpoint = args.checkpoint.or(file.checkpoint);
     let surrogate = surrogate::load(checkpoint.as_deref(), args.threads, args.device)?;
@@ -240,9 +240,9 @@ fn foxglove(
     let server = FoxgloveServer::start(address, &ros.full_name(), origins)?;
     let publish = |link: &Link, type_name| server.publisher(&link.topic, type_name);
     let cloud = |link| {
-        publish(&ros.beside(link, "cloud"), PointCloud2::TYPE).map(CloudTopic::new).map(Some)
+        publish(&ros.subtopic(link, "cloud"), PointCloud2::TYPE).map(CloudTopic::new).map(Some)
     };
-    let status = publish(&ros.beside(output, "status"), PredictionStatus::TYPE)?;
+    let status = publish(&ros.subtopic(output, "status"), PredictionStatus::TYPE)?;
     let diagnostics = ros.link(&output.with_topic("/diagnostics"));
     outputs.push(Outputs {
         diagnostics: Some(publish(&diagnostics, DiagnosticArray::TYPE)?),

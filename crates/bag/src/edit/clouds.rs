@@ -13,8 +13,8 @@ use eddy_messages::{
     FrameCdr, Message, ParticleFrame, PointCloud2, QosProfile, cloud, type_support,
 };
 
-/// The topics of frames without a topic of clouds.
-pub fn without_cloud(bag: &BagReader) -> Vec<String> {
+/// The frame topics that have no cloud topic.
+pub fn topics_without_cloud(bag: &BagReader) -> Vec<String> {
     let topics = bag.topics();
     let has_cloud = |name: &str| topics.iter().any(|topic| topic.name == cloud_topic(name));
     let frames = topics.iter().filter(|topic| topic.type_name == ParticleFrame::TYPE);
@@ -22,7 +22,7 @@ pub fn without_cloud(bag: &BagReader) -> Vec<String> {
 }
 
 /// Copies a bag into a new one at `output` and adds a `sensor_msgs/msg/PointCloud2` on `TOPIC/cloud` for every
-/// frame of [`without_cloud`], with its times. A message that is not a frame has no cloud.
+/// frame of [`topics_without_cloud`], with its times. A message that is not a frame has no cloud.
 ///
 /// # Errors
 /// As [`extract`](fn@super::extract).
@@ -32,7 +32,7 @@ pub fn clouds(
     options: CopyOptions<'_>,
 ) -> Result<BagSummary, BagError> {
     let mut channels = BTreeMap::new();
-    for topic in without_cloud(bag) {
+    for topic in topics_without_cloud(bag) {
         let support = type_support(PointCloud2::TYPE)
             .map_err(|reason| BagError::Type { topic: topic.clone(), reason })?;
         let channel = Channel::ros(&cloud_topic(&topic), support, &[QosProfile::default()]);

@@ -18,7 +18,7 @@ pub struct CopyOptions<'a> {
     /// Options of the new bag.
     pub writer: WriterOptions,
     /// Called after each message; `false` stops the copy with [`BagError::Interrupted`].
-    pub go_on: &'a mut dyn FnMut() -> bool,
+    pub on_message: &'a mut dyn FnMut() -> bool,
 }
 
 /// Writes a new bag at `output`, which appears when it is complete.
@@ -44,7 +44,7 @@ pub(crate) fn copy<'c>(
         let message = message?;
         let topic = bag.writer.channel(&message.channel)?;
         bag.writer.copy(topic, &message)?;
-        if !(options.go_on)() {
+        if !(options.on_message)() {
             return Err(BagError::Interrupted { path: output.into() });
         }
     }

@@ -14,7 +14,7 @@ use crate::{
 ///
 /// # Errors
 /// [`BagError::Exists`] when `output` exists; [`BagError::Nothing`] when no message is selected; damage of the
-/// bag; errors of the writer. No new bag is left then.
+/// bag; errors of the writer. On error no new bag is left behind.
 pub fn extract(
     bag: &BagReader,
     selection: &Selection,

@@ -1,4 +1,4 @@
-//! Makes bags from bags. Messages keep their bytes, sequence numbers and times, and their channels stay as they
+//! Edits bags; every edit writes a new bag. Messages keep their bytes, sequence numbers and times, and their channels stay as they
 //! are. All attachments and metadata records are copied, except those with which rosbag2 describes the old file.
 //!
 //! 1. `topic_filter`: selects topics by name and by pattern.
@@ -14,9 +14,9 @@ mod moment;
 mod staged;
 mod topic_filter;
 
-pub use clouds::{clouds, without_cloud};
+pub use clouds::{clouds, topics_without_cloud};
 pub use copy::CopyOptions;
 pub use extract::extract;
 pub use merge::merge;
-pub use moment::{InvalidMoment, Moment};
+pub use moment::{BagTime, InvalidBagTime};
 pub use topic_filter::TopicFilter;

@@ -6,24 +6,24 @@ use eddy_frames::Stamp;
 
 /// A point in time of a bag: `2.5` (seconds after its start) or `1700000000000000000ns` (log time).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Moment {
+pub enum BagTime {
     /// Time after the first message (s).
     After(f64),
     /// Log time.
     At(Stamp),
 }
 
-/// A text that is not a [`Moment`].
+/// A text that is not a [`BagTime`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "moment: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 1700000000000000000ns"
+    "time: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 1700000000000000000ns"
 )]
-pub struct InvalidMoment {
+pub struct InvalidBagTime {
     /// The text.
     pub found: String,
 }
 
-impl Moment {
+impl BagTime {
     /// The log time in a bag that starts at `start`.
     pub fn in_bag(self, start: Stamp) -> Stamp {
         match self {
@@ -33,11 +33,11 @@ impl Moment {
     }
 }
 
-impl FromStr for Moment {
-    type Err = InvalidMoment;
+impl FromStr for BagTime {
+    type Err = InvalidBagTime;
 
-    fn from_str(text: &str) -> Result<Self, InvalidMoment> {
-        let invalid = || InvalidMoment { found: text.to_owned() };
+    fn from_str(text: &str) -> Result<Self, InvalidBagTime> {
+        let invalid = || InvalidBagTime { found: text.to_owned() };
         if let Some(nanoseconds) = text.strip_suffix("ns") {
             let time = nanoseconds.parse().ok().filter(|&time: &i64| time >= 0);
             return time.map(|time| Self::At(Stamp(time))).ok_or_else(invalid);
@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn seconds_count_from_the_start_and_nanoseconds_from_the_epoch() {
-        let at = |text: &str| text.parse::<Moment>().unwrap().in_bag(Stamp(1_000));
+        let at = |text: &str| text.parse::<BagTime>().unwrap().in_bag(Stamp(1_000));
         assert_eq!(at("0"), Stamp(1_000));
         assert_eq!(at("2.5"), Stamp(2_500_001_000));
         assert_eq!(at("1700000000000000000ns"), Stamp(1_700_000_000_000_000_000));
@@ -63,8 +63,8 @@ mod tests {
     #[test]
     fn other_texts_are_rejected_with_what_was_expected() {
         for text in ["", "-1", "soon", "1e999", "-5ns", "2.5ns"] {
-            let message = text.parse::<Moment>().unwrap_err().to_string();
-            assert!(message.starts_with(&format!("moment: found `{text}`, expected")), "{message}");
+            let message = text.parse::<BagTime>().unwrap_err().to_string();
+            assert!(message.starts_with(&format!("time: found `{text}`, expected")), "{message}");
         }
     }
 }

@@ -12,7 +12,7 @@ use mcap::{
 };
 
 use super::{
-    block::{describe, unread},
+    block::{describe, read_error},
     records::{RecordHeader, SIZE_LIMIT},
 };
 use crate::{error::BagError, format::parse};
@@ -43,7 +43,7 @@ impl AuxiliaryRecord {
             return Err(corrupt(describe(header), "at most 1 GiB"));
         }
         let body = file.read(header.body(), header.length);
-        let body = body.map_err(|error| unread(path, header.body(), error))?;
+        let body = body.map_err(|error| read_error(path, header.body(), error))?;
         Self::parse(header.opcode, &body).map_err(|found| corrupt(found, "a valid record"))
     }
 
@@ -62,7 +62,7 @@ impl AuxiliaryRecord {
         }
     }
 
-    /// Whether it describes the recording rather than the file it is in, and belongs into copies of the bag.
+    /// Whether it describes the recording rather than the file it is in, and should be copied with the bag.
     pub(crate) fn describes_recording(&self) -> bool {
         !matches!(self, Self::Metadata(metadata) if metadata.name == ROSBAG2)
     }

@@ -74,7 +74,7 @@ impl Block {
             Some(bytes) => bytes.wait(),
             None => file.read(self.position, self.length),
         };
-        let bytes = bytes.map_err(|error| unread(path, self.position, error))?;
+        let bytes = bytes.map_err(|error| read_error(path, self.position, error))?;
         let outcome = match self.kind {
             BlockKind::Unchunked => read_records(&bytes, on_record),
             BlockKind::Chunk => read_chunk(&bytes, on_record),
@@ -88,7 +88,7 @@ impl Block {
 
 /// Why the bytes from `position` on could not be read: [`BagError::Corrupt`] when it is the disk, [`BagError::Io`] for other
 /// errors.
-pub(super) fn unread(path: &Path, position: u64, error: io::Error) -> BagError {
+pub(super) fn read_error(path: &Path, position: u64, error: io::Error) -> BagError {
     if BagError::is_unreadable(&error) {
         let (found, expected) = (unreadable(&error), "readable bytes".into());
         BagError::Corrupt { path: path.into(), position, found, expected }

@@ -28,7 +28,7 @@ pub struct TopicInfo {
     pub hash: Option<String>,
     /// Number of messages.
     pub message_count: u64,
-    /// What its publishers offered, each; empty if unknown.
+    /// QoS offered by each of its publishers; empty if unknown.
     pub offered: Vec<QosProfile>,
 }
 
@@ -109,8 +109,9 @@ impl Contents {
     }
 }
 
-/// Adds the profiles that another channel of a topic has more often: the files of a split bag have equal channels.
-fn add(known: &mut Vec<QosProfile>, offered: Vec<QosProfile>) {
+/// Merges the profiles offered on another channel of a topic. Of equal profiles the larger count is kept, because the files of a split bag
+/// repeat their channels.
+fn merge_offered(known: &mut Vec<QosProfile>, offered: Vec<QosProfile>) {
     let of = |profiles: &[QosProfile], profile| {
         profiles.iter().filter(|other| **other == profile).count()
     };
@@ -136,7 +137,7 @@ fn topics(files: &[FileIndex]) -> Vec<TopicInfo> {
                 message_count: 0,
                 offered: Vec::new(),
             });
-            add(&mut topic.offered, channel.offered());
+            merge_offered(&mut topic.offered, channel.offered());
             topic.message_count += file.counts.get(id).copied().unwrap_or_default();
         }
     }

@@ -4,8 +4,8 @@ use std::{collections::VecDeque, path::Path};
 
 use crate::error::BagError;
 
-/// Errors that are kept; the others are counted.
-const KEPT: usize = 10;
+/// Maximum number of errors kept; further errors are only counted.
+const MAX_ERRORS: usize = 10;
 
 /// The first errors and the number of the others.
 #[derive(Clone, Debug)]
@@ -22,7 +22,7 @@ impl<E> Default for ErrorLog<E> {
 
 impl<E> ErrorLog<E> {
     pub(crate) fn push(&mut self, error: E) {
-        if self.first.len() < KEPT {
+        if self.first.len() < MAX_ERRORS {
             self.first.push_back(error);
         } else {
             self.omitted += 1;
@@ -31,7 +31,7 @@ impl<E> ErrorLog<E> {
 
     /// Adds an error before the others.
     pub(super) fn push_front(&mut self, error: E) {
-        if self.first.len() == KEPT {
+        if self.first.len() == MAX_ERRORS {
             self.first.pop_back();
             self.omitted += 1;
         }
@@ -75,12 +75,13 @@ mod tests {
         let error =
             |topic: usize| BagError::NoMessages { path: path.into(), topic: topic.to_string() };
         let mut errors = ErrorLog::default();
-        (0..KEPT + 3).for_each(|topic| errors.push(error(topic)));
+        (0..MAX_ERRORS + 3).for_each(|topic| errors.push(error(topic)));
         errors.push_front(error(99));
         errors.omit(5);
         let found: Vec<String> =
             std::iter::from_fn(|| errors.pop(path)).map(|error| error.to_string()).collect();
-        let mut expected: Vec<_> = (0..KEPT - 1).map(|topic| error(topic).to_string()).collect();
+        let mut expected: Vec<_> =
+            (0..MAX_ERRORS - 1).map(|topic| error(topic).to_string()).collect();
         expected.insert(0, error(99).to_string());
         expected.push("run7: 9 more errors, not listed".to_owned());
         assert_eq!(found, expected);

@@ -1,5 +1,5 @@
 //! The messages of all files of a bag, merged by log time. One block is in memory at a time, several where their
-//! times overlap; of a bag in a store, the next few are on their way.
+//! times overlap; of a bag in a store, the next few are prefetched.
 
 use std::{collections::VecDeque, sync::Arc};
 
@@ -14,8 +14,8 @@ use super::{
 use crate::{error::BagError, format::channel::Channel};
 use eddy_frames::Stamp;
 
-/// Blocks of a bag in a store that are fetched ahead: with blocks of 1 MiB and 50 ms a request, 80 MiB/s.
-const AHEAD: usize = 4;
+/// Blocks of a bag in a store that are prefetched: with blocks of 1 MiB and 50 ms a request, 80 MiB/s.
+const PREFETCHED_BLOCKS: usize = 4;
 
 /// A message of a bag.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,7 +60,7 @@ pub struct Messages {
     until: u64,
     /// Blocks not read yet, in the order of their first message.
     pending: VecDeque<Block>,
-    /// The first of these, on their way from a store.
+    /// Prefetches of the first pending blocks, for a bag in a store.
     prefetched: VecDeque<Option<Prefetched>>,
     /// Messages of the blocks that were read, in order.
     ready: VecDeque<BagMessage>,
@@ -114,7 +114,7 @@ impl Messages {
         let contents = self.contents.clone();
         let file = &contents.files[block.file];
         let prefetched = self.prefetched.pop_front().flatten();
-        for next in self.pending.iter().take(AHEAD).skip(self.prefetched.len()) {
+        for next in self.pending.iter().take(PREFETCHED_BLOCKS).skip(self.prefetched.len()) {
             self.prefetched.push_back(next.prefetch(&contents.files[next.file].file));
         }
         let channels = &contents.channels[block.file];

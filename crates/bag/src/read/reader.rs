@@ -44,11 +44,11 @@ impl BagReader {
     fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
         let files = files.iter().enumerate();
         let files = files.map(|(number, file)| FileIndex::open(file, number));
-        Ok(Self::of_files(path, files.collect::<Result<_, _>>()?))
+        Ok(Self::from_files(path, files.collect::<Result<_, _>>()?))
     }
 
     /// Indexed files, in this order, as the bag `path`.
-    pub(crate) fn of_files(path: &Path, files: Vec<FileIndex>) -> Self {
+    pub(crate) fn from_files(path: &Path, files: Vec<FileIndex>) -> Self {
         Self { contents: Arc::new(Contents::new(path, files)) }
     }
 

@@ -68,11 +68,11 @@ pub(super) struct Records {
     pub(super) size: u64,
     /// Start of the next record (bytes).
     pub(super) position: u64,
-    /// What was searched for up to the end of the file in vain.
+    /// Searches that reached the end of the file without a match.
     pub(super) absent: Absent,
 }
 
-/// Records that do not follow any more.
+/// Kinds of records that no longer occur before the end of the file.
 #[derive(Default)]
 pub(super) struct Absent {
     pub(super) chunks: bool,

@@ -107,7 +107,7 @@ impl FileIndex {
                     let rest = self.size - header.end();
                     if rest > MAGIC.len() as u64 {
                         // A damaged opcode: the record is not a footer and hides what follows.
-                        let expected = "one at the end of the file".to_owned();
+                        let expected = "no footer before the end of the file".to_owned();
                         self.add_damage(header.position, describe(&header), expected);
                     }
                     let expected = "the 8 bytes that end an MCAP file";
@@ -167,7 +167,7 @@ impl FileIndex {
             _ => records.seek_message(header.position + 1, &self.channels)?,
         };
         if continues {
-            let expected = "a record that is followed by another".into();
+            let expected = "a length that ends at the next record".into();
             self.add_damage(header.position, describe(&header), expected);
         }
         Ok((!continues).then_some(header))

@@ -21,8 +21,8 @@ use eddy_messages::{
     type_support,
 };
 
-/// Groups of findings that are kept; findings of others are counted.
-const KEPT_FINDINGS: usize = 50;
+/// Maximum number of groups of findings; findings beyond them are only counted.
+const MAX_FINDING_GROUPS: usize = 50;
 
 /// A stamp more than this many intervals in the past restarts a stream, as in a node (a looped bag).
 const RESTART_INTERVALS: u32 = 16;
@@ -117,7 +117,7 @@ impl Survey {
             match message {
                 Ok(message) => survey.check_message(bag, &message),
                 Err(BagError::MoreErrors { count, .. }) => survey.further_findings += count,
-                Err(error) => survey.found_alone(error.to_string()),
+                Err(error) => survey.add_finding(error.to_string()),
             }
             read += 1;
             progress(read);
@@ -131,7 +131,7 @@ impl Survey {
         if bag.is_unfinished() {
             let files: BTreeSet<_> = bag.files().map(|file| file.display().to_string()).collect();
             let files = files.into_iter().collect::<Vec<_>>().join(", ");
-            self.found_alone(format!("{files}: found an unfinished file, expected a finished bag"));
+            self.add_finding(format!("{files}: found an unfinished file, expected a finished bag"));
             return;
         }
         if bag.damage().is_some() {
@@ -141,9 +141,9 @@ impl Survey {
             match checksums(file) {
                 Ok(()) => {}
                 Err(McapError::Io(error)) => {
-                    self.found_alone(BagError::io(file, "reading")(error).to_string());
+                    self.add_finding(BagError::io(file, "reading")(error).to_string());
                 }
-                Err(error) => self.found_alone(format!("{}: {error}", file.display())),
+                Err(error) => self.add_finding(format!("{}: {error}", file.display())),
             }
         }
     }
@@ -153,8 +153,8 @@ impl Survey {
         self.findings.iter().map(|finding| finding.count).sum::<u64>() + self.further_findings
     }
 
-    /// Adds a finding that nothing else is like.
-    fn found_alone(&mut self, finding: String) {
+    /// Adds a finding that is grouped only with identical ones.
+    fn add_finding(&mut self, finding: String) {
         self.found(finding.clone(), finding);
     }
 
@@ -162,7 +162,7 @@ impl Survey {
     fn found(&mut self, group: String, finding: String) {
         if let Some(known) = self.findings.iter_mut().find(|known| known.group == group) {
             known.count += 1;
-        } else if self.findings.len() < KEPT_FINDINGS {
+        } else if self.findings.len() < MAX_FINDING_GROUPS {
             self.findings.push(Finding { group, first: finding, count: 1 });
         } else {
             self.further_findings += 1;
@@ -176,7 +176,7 @@ impl Survey {
         let Some(expected) = defined.or_else(built_in) else { return };
         if let Some(hash) = topic.hash.as_ref().filter(|hash| **hash != expected) {
             let TopicInfo { name, type_name, .. } = topic;
-            self.found_alone(format!(
+            self.add_finding(format!(
                 "topic {name}: hash of {type_name}: found {hash}, expected {expected}"
             ));
         }
@@ -233,7 +233,7 @@ impl Survey {
             let (found, expected) = (self.topics[index].messages, topic.message_count);
             if found != expected {
                 let name = &topic.name;
-                self.found_alone(format!(
+                self.add_finding(format!(
                     "topic {name}: found {found} messages, expected {expected}"
                 ));
             }
@@ -241,12 +241,12 @@ impl Survey {
         match metadata::message_count(bag.path()) {
             Ok(Some(stated)) if stated != bag.message_count() => {
                 let (path, found) = (bag.path().display(), bag.message_count());
-                self.found_alone(format!(
-                    "{path}: found {found} messages, expected {stated} by metadata.yaml"
+                self.add_finding(format!(
+                    "{path}: found {found} messages, expected {stated} as in metadata.yaml"
                 ));
             }
             Ok(_) => {}
-            Err(error) => self.found_alone(error.to_string()),
+            Err(error) => self.add_finding(error.to_string()),
         }
     }
 }
@@ -282,7 +282,8 @@ impl StreamSurvey {
         } else if sequence > before + 1 {
             Some(format!("found sequence {sequence} after {before}, expected {}", before + 1))
         } else if sequence <= before {
-            let fault = format!("found sequence {sequence} again or late, expected {}", before + 1);
+            let fault =
+                format!("found sequence {sequence} (repeated or late), expected {}", before + 1);
             (!may_repeat).then_some(fault)
         } else if stamp <= stamp_before {
             let (found, last) = (stamp.seconds(), stamp_before.seconds());

@@ -50,7 +50,7 @@ impl Recovery {
             files.iter().map(|file| file.declared_messages.unwrap_or(0).max(file.messages())).sum();
         // An unreadable metadata.yaml declares nothing.
         let by_metadata = metadata::message_count(path).ok().flatten().unwrap_or(0);
-        let bag = BagReader::of_files(path, files);
+        let bag = BagReader::from_files(path, files);
         Ok(Self { bag, losses, declared: by_metadata.max(by_files) })
     }
 
@@ -85,8 +85,8 @@ impl Recovery {
         let Self { bag, losses, declared } = self;
         // Shared by both iterators.
         let losses = RefCell::new(losses);
-        let auxiliary = bag.auxiliary().filter_map(|record| kept(record, &losses));
-        let messages = bag.messages().filter_map(|message| kept(message, &losses));
+        let auxiliary = bag.auxiliary().filter_map(|record| skip_damage(record, &losses));
+        let messages = bag.messages().filter_map(|message| skip_damage(message, &losses));
         let saved = copy(output, bag.channels(), auxiliary, messages, options)?;
         let mut losses = losses.into_inner();
         let mut losses: Vec<String> =
@@ -100,8 +100,8 @@ impl Recovery {
     }
 }
 
-/// Keeps what could be read; damage is added to `losses`.
-fn kept<T>(
+/// Passes on what could be read; skips damage and adds it to `losses`.
+fn skip_damage<T>(
     found: Result<T, BagError>,
     losses: &RefCell<ErrorLog<BagError>>,
 ) -> Option<Result<T, BagError>> {

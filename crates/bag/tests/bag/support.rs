@@ -41,8 +41,8 @@ pub fn messages(path: &Path) -> Vec<Whole> {
         .collect()
 }
 
-pub fn copying(go_on: &mut dyn FnMut() -> bool) -> CopyOptions<'_> {
-    CopyOptions { writer: WriterOptions::default(), go_on }
+pub fn copying(on_message: &mut dyn FnMut() -> bool) -> CopyOptions<'_> {
+    CopyOptions { writer: WriterOptions::default(), on_message }
 }
 
 pub fn recover(path: &Path, output: &Path) -> Result<Recovered, BagError> {

@@ -389,7 +389,7 @@ fn the_survey_reports_what_is_wrong_in_a_stream() {
     assert_eq!(
         findings(&path),
         [
-            "topic /particles, stream 4: found sequence 1 again or late, expected 2",
+            "topic /particles, stream 4: found sequence 1 (repeated or late), expected 2",
             "topic /particles, message 3: velocity[2]: found NaN, expected a finite number",
             "topic /particles, stream 4: found sequence 4 after 1, expected 2",
             "topic /particles, stream 4: sequence 5: found stamp 0.064 s, expected more than 0.064 s",

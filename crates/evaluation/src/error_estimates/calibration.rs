@@ -9,7 +9,7 @@ use super::{
     fit::{Observation, least_squares, logistic},
 };
 use crate::{
-    EvalError, EvaluationError, SHOWN_FRAMES, Settings,
+    EvalError, EvaluationError, Settings,
     dataset::{self, Trajectory},
     measure::Flights,
     model_rollout::roll_out_from_first,
@@ -25,6 +25,8 @@ use eddy_inference::{
 
 /// Fewest streams, as errors and help say: two of each part.
 const MIN_STREAMS: usize = 2 * FOLDS;
+/// Frames ahead that are calibrated: estimates in between, which are interpolated, hold as well.
+const CALIBRATED_FRAMES: [usize; 8] = [1, 2, 3, 5, 10, 20, 50, 100];
 /// Parts of the streams, each left out of a fit once.
 const FOLDS: usize = 5;
 
@@ -207,10 +209,10 @@ fn calibrate(horizon: u32, samples: &[Vec<Sample>]) -> Option<(CalibratedHorizon
     Some((at(&fit(None), None), outcomes))
 }
 
-/// The numbers of frames ahead that are calibrated: those of reports, and the largest.
+/// The numbers of frames ahead that are calibrated, up to the largest, which is one of them.
 fn horizons(largest: usize) -> Vec<u32> {
-    let shown = SHOWN_FRAMES.into_iter().filter(|&ahead| ahead < largest);
-    shown.chain([largest]).map(|ahead| ahead as u32).collect()
+    let before = CALIBRATED_FRAMES.into_iter().filter(|&ahead| ahead < largest);
+    before.chain([largest]).map(|ahead| ahead as u32).collect()
 }
 
 /// The quantile of sorted numbers at `level`, interpolated.
@@ -275,9 +277,12 @@ mod tests {
         assert_eq!((model.streams, model.rollouts), (12, 36));
         assert_eq!(model.checkpoint, surrogate.digest());
         let frames: Vec<u32> = model.horizons.iter().map(|at| at.frames).collect();
-        assert_eq!(frames, [1, 5, 7]);
+        assert_eq!(frames, [1, 2, 3, 5, 7]);
         // Late rollouts of each stream run out of truth.
-        assert_eq!(reliability.iter().map(|r| r.estimates).collect::<Vec<_>>(), [36, 24, 12]);
+        assert_eq!(
+            reliability.iter().map(|r| r.estimates).collect::<Vec<_>>(),
+            [36, 36, 24, 24, 12]
+        );
         let alone = CalibrationRequest { threads: NonZeroUsize::new(1), ..request(&streams) };
         assert_eq!(Calibration::of(&surrogate, alone, &Silent).unwrap().model, model);
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::{
     InvalidArgument, RosNode,
-    parameters::{self, Given},
+    parameters::{self, ParameterOverride},
     remap::{Rule, quoted},
 };
 
@@ -22,7 +22,7 @@ const LEVELS: [(&str, &str); 5] =
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RosArguments {
     pub(super) rules: Vec<Rule>,
-    pub(super) parameters: Vec<Given>,
+    pub(super) parameters: Vec<ParameterOverride>,
     /// Levels of the logger of this name, or of all, in the order of the arguments.
     levels: Vec<(Option<String>, &'static str)>,
     /// Whether the log is not published on `/rosout`.

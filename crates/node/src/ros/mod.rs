@@ -19,7 +19,7 @@ pub(crate) mod yaml;
 
 pub use arguments::RosArguments;
 pub use node::RosNode;
-pub use parameters::Given;
+pub use parameters::ParameterOverride;
 pub(crate) use parameters::parse as parse_parameter;
 pub use qos::TopicQos;
 pub use rosout::{ROSOUT, ROSOUT_QOS, Rosout, RosoutPublisher};

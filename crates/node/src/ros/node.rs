@@ -1,7 +1,7 @@
-//! Target applies to one node: its name, topics and parameters.
+//! One node with the ROS arguments applied: its name, topics and parameters.
 
 use super::{
-    Given, InvalidArgument, RosArguments,
+    InvalidArgument, ParameterOverride, RosArguments,
     remap::{Rule, Target},
 };
 use eddy_transport::{Link, TransportError, TransportOptions};
@@ -14,7 +14,7 @@ pub struct RosNode {
     namespace: String,
     /// Rules for topics and services, in the order in which they are tried.
     renamed: Vec<Renamed>,
-    parameters: Vec<Given>,
+    parameters: Vec<ParameterOverride>,
     directives: String,
     has_rosout: bool,
 }
@@ -109,14 +109,14 @@ impl RosNode {
 
     /// The topic `word` below another one, such as `/prediction/status` below `/prediction`. It follows the new name of
     /// that topic unless it has a rule of its own.
-    pub fn beside(&self, link: &Link, word: &str) -> Link {
+    pub fn subtopic(&self, link: &Link, word: &str) -> Link {
         let own = self.absolute(&format!("{}/{word}", link.topic));
         let followed = || format!("{}/{word}", self.topic(&link.topic));
         link.with_topic(&self.rule(&own, |rule| rule.topics).unwrap_or_else(followed))
     }
 
     /// Its parameters; the last value of each takes precedence.
-    pub fn parameters(&self) -> &[Given] {
+    pub fn parameters(&self) -> &[ParameterOverride] {
         &self.parameters
     }
 
@@ -218,8 +218,8 @@ mod tests {
         let link: Link = "shm:/prediction".parse().unwrap();
         let node = node(&["-r", "/prediction:=/p", "-r", "/prediction/cloud:=/points"]);
         assert_eq!(node.link(&link).to_string(), "shm:/p");
-        assert_eq!(node.beside(&link, "status").to_string(), "shm:/p/status");
-        assert_eq!(node.beside(&link, "cloud").to_string(), "shm:/points");
+        assert_eq!(node.subtopic(&link, "status").to_string(), "shm:/p/status");
+        assert_eq!(node.subtopic(&link, "cloud").to_string(), "shm:/points");
     }
 
     #[test]

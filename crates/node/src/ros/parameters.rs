@@ -1,4 +1,4 @@
-//! Parameters at the start: `-p name:=value`, and files such as
+//! Parameter overrides at startup: `-p name:=value`, and files such as
 //!
 //! ```yaml
 //! /**:                  # every node
@@ -26,9 +26,9 @@ const PARAMETERS: &str = "ros__parameters";
 /// Matches every node.
 const ALL_NODES: &str = "/**";
 
-/// A parameter and the nodes that it is given to.
+/// A parameter override and the nodes it applies to.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Given {
+pub struct ParameterOverride {
     /// Name and value.
     pub parameter: Parameter,
     /// The argument that it comes from.
@@ -39,7 +39,7 @@ pub struct Given {
     nodes: String,
 }
 
-impl Given {
+impl ParameterOverride {
     /// Whether it is given to the node with this full name.
     pub(super) fn is_for(&self, node: &str) -> bool {
         let words = |name: &'_ str| -> Vec<String> {
@@ -63,7 +63,7 @@ fn matches(pattern: &[String], name: &[String]) -> bool {
 }
 
 /// The parameter in `[node:]name:=value`.
-pub(crate) fn parse(text: &str) -> Result<Given, InvalidArgument> {
+pub(crate) fn parse(text: &str) -> Result<ParameterOverride, InvalidArgument> {
     let argument = format!("-p {text}");
     let invalid = |found: String, expected: &str| InvalidArgument::new(&argument, found, expected);
     let (left, value) = text
@@ -82,8 +82,8 @@ pub(crate) fn parse(text: &str) -> Result<Given, InvalidArgument> {
     let value = yaml::read(value)
         .map_err(|_| quoted(value))
         .and_then(Yaml::into_value)
-        .map_err(|found| invalid(found, "a value, or a list of one kind, in YAML"))?;
-    Ok(Given {
+        .map_err(|found| invalid(found, "a value, or a list of one type, in YAML"))?;
+    Ok(ParameterOverride {
         parameter: Parameter { name: name.to_owned(), value },
         // As in rcl, a bare name does not match a node in a namespace.
         nodes: node.map_or(ALL_NODES.to_owned(), |node| format!("/{node}")),
@@ -93,14 +93,14 @@ pub(crate) fn parse(text: &str) -> Result<Given, InvalidArgument> {
 }
 
 /// The parameters in a file, in its order.
-pub(super) fn read(file: &Path) -> Result<Vec<Given>, InvalidArgument> {
+pub(super) fn read(file: &Path) -> Result<Vec<ParameterOverride>, InvalidArgument> {
     let argument = format!("--params-file {}", file.display());
     let text = fs::read_to_string(file)
         .map_err(|error| InvalidArgument::new(&argument, error.to_string(), "a file to read"))?;
     parse_file(&argument, &text)
 }
 
-fn parse_file(argument: &str, text: &str) -> Result<Vec<Given>, InvalidArgument> {
+fn parse_file(argument: &str, text: &str) -> Result<Vec<ParameterOverride>, InvalidArgument> {
     let form = "a map of nodes with ros__parameters, in YAML";
     let yaml = yaml::read(text).map_err(|error| {
         let first = error.to_string().lines().next().unwrap_or_default().to_owned();
@@ -119,7 +119,7 @@ fn collect_nodes(
     argument: &str,
     namespace: &str,
     entries: Vec<(String, Yaml)>,
-    given: &mut Vec<Given>,
+    given: &mut Vec<ParameterOverride>,
 ) -> Result<(), InvalidArgument> {
     for (key, below) in entries {
         let place = format!("{argument}: {namespace}/{}", key.trim_start_matches('/'));
@@ -147,7 +147,7 @@ fn collect_parameters(
     nodes: &str,
     prefix: &str,
     entries: Vec<(String, Yaml)>,
-    given: &mut Vec<Given>,
+    given: &mut Vec<ParameterOverride>,
 ) -> Result<(), InvalidArgument> {
     for (key, value) in entries {
         let name = format!("{prefix}{key}");
@@ -157,10 +157,10 @@ fn collect_parameters(
         }
         let argument = format!("{argument}: {nodes}: {name}");
         let value = value.into_value().map_err(|found| {
-            InvalidArgument::new(&argument, found, "a value, or a list of one kind")
+            InvalidArgument::new(&argument, found, "a value, or a list of one type")
         })?;
         let last = nodes.rsplit('/').next().unwrap_or_default();
-        given.push(Given {
+        given.push(ParameterOverride {
             parameter: Parameter { name, value },
             argument,
             for_all: last.contains('*'),
@@ -218,7 +218,7 @@ mod tests {
             ("horizon", "-p horizon: found `horizon`, expected NAME:=VALUE"),
             (":=1", "-p :=1: found no name, expected NAME:=VALUE"),
             ("a b:c:=1", "-p a b:c:=1: found `a b`, expected the name of a node"),
-            ("a:=[1, x]", "-p a:=[1, x]: found a list of several kinds, expected a value"),
+            ("a:=[1, x]", "-p a:=[1, x]: found a list of mixed types, expected a value"),
             ("a:=", "-p a:=: found nothing, expected a value"),
             ("a:=[1", "-p a:=[1: found `[1`, expected a value"),
         ] {

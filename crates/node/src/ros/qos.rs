@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Given, InvalidArgument, remap::quoted};
+use super::{InvalidArgument, ParameterOverride, remap::quoted};
 use eddy_messages::{
     QosProfile,
     qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
@@ -16,7 +16,7 @@ use eddy_transport::is_absolute_name;
 const PREFIX: &str = "qos_overrides.";
 /// The form of their names.
 const FORM: &str = "qos_overrides.TOPIC.publisher.POLICY or qos_overrides.TOPIC.subscription.POLICY, for example qos_overrides./prediction.publisher.reliability";
-/// The policies.
+/// The supported policies, for error messages.
 const POLICIES: &str = "reliability, durability, history or depth";
 
 /// Depth of ROS 2's default profile.
@@ -29,7 +29,7 @@ enum Side {
     Subscription,
 }
 
-/// Policies that replace those of a profile.
+/// Overrides of single policies of a QoS profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Policies {
     reliability: Option<ReliabilityPolicy>,
@@ -55,9 +55,9 @@ impl TopicQos {
     ///
     /// # Errors
     /// [`InvalidArgument`] with the first parameter of this kind that cannot be used.
-    pub fn of(parameters: &[Given]) -> Result<Self, InvalidArgument> {
+    pub fn from_parameters(parameters: &[ParameterOverride]) -> Result<Self, InvalidArgument> {
         let mut qos = Self::default();
-        for Given { parameter, argument, .. } in parameters {
+        for ParameterOverride { parameter, argument, .. } in parameters {
             let Some(name) = parameter.name.strip_prefix(PREFIX) else { continue };
             let invalid =
                 |found: String, expected: &str| InvalidArgument::new(argument, found, expected);
@@ -97,7 +97,7 @@ impl TopicQos {
         Some(policies)
     }
 
-    /// The topics with parameters that were not asked for: the node has no such publisher or subscriber.
+    /// The topics with overrides that no publisher or subscriber of the node has used.
     pub fn unused(&self) -> impl Iterator<Item = &str> {
         let unused = self.policies.keys().filter(|key| !self.used.contains(key));
         unused.map(|(_, topic)| topic.as_str())
@@ -170,7 +170,7 @@ mod tests {
     fn parse(words: &[&str]) -> Result<TopicQos, String> {
         let words: Vec<_> = words.iter().map(|word| (*word).to_owned()).collect();
         let node = RosArguments::parse(&words).unwrap().node("eddy_node");
-        TopicQos::of(node.parameters()).map_err(|error| error.to_string())
+        TopicQos::from_parameters(node.parameters()).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub const ROSOUT: &str = "/rosout";
 /// Messages that are kept for late subscribers, and messages that may wait to be published: `rmw_qos_profile_rosout_default`.
 const DEPTH: usize = 1_000;
 
-/// Longest wait for a message before the thread looks for the end.
+/// Longest wait before the thread checks whether the log has ended.
 const MAX_WAIT: Duration = Duration::from_secs(1);
 
 /// What ROS 2 offers for `/rosout`, without its lifespan of ten seconds.
@@ -39,7 +39,7 @@ pub const ROSOUT_QOS: QosProfile = QosProfile {
 };
 
 thread_local! {
-    /// Whether this thread publishes messages: its own events would follow each other for ever.
+    /// Whether this is the publishing thread: publishing its own events would never end.
     static PUBLISHES: Cell<bool> = const { Cell::new(false) };
 }
 

@@ -65,7 +65,7 @@ impl Yaml {
             Self::Integer(value) => Ok(ParameterValue::integer(value)),
             Self::Double(value) => Ok(ParameterValue::double(value)),
             Self::Text(value) => Ok(ParameterValue::string(value)),
-            Self::List(items) => list(&items).ok_or_else(|| "a list of several kinds".to_owned()),
+            Self::List(items) => list(&items).ok_or_else(|| "a list of mixed types".to_owned()),
             Self::Map(_) => Err("a map".to_owned()),
         }
     }
@@ -192,7 +192,7 @@ mod tests {
     #[test]
     fn other_values_are_described() {
         for (text, found) in
-            [("[1, a]", "a list of several kinds"), ("{a: 1}", "a map"), ("~", "nothing")]
+            [("[1, a]", "a list of mixed types"), ("{a: 1}", "a map"), ("~", "nothing")]
         {
             assert_eq!(value(text), Err(found.to_owned()), "{text}");
         }

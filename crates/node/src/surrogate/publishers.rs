@@ -33,7 +33,7 @@ impl Publishers<'_> {
         let mut opened = Vec::new();
         for (index, link) in links.outputs.iter().enumerate() {
             let prediction = self.publisher(&ros.link(link), ParticleFrame::TYPE, reliability)?;
-            let status = ros.beside(link, "status");
+            let status = ros.subtopic(link, "status");
             let status = self.publisher(&status, PredictionStatus::TYPE, reliability)?;
             let mut outputs = Outputs::new(prediction, status);
             if clouds {
@@ -64,7 +64,7 @@ impl Publishers<'_> {
     }
 
     fn cloud(&mut self, link: &Link) -> Result<CloudTopic, TransportError> {
-        let link = self.ros.beside(link, "cloud");
+        let link = self.ros.subtopic(link, "cloud");
         self.publisher(&link, PointCloud2::TYPE, Reliability::Drop).map(CloudTopic::new)
     }
 

@@ -1,4 +1,4 @@
-//! Which requests are allowed: those of pages of this server, under an address of this machine.
+//! Allows only requests from this server's own pages, addressed to this machine.
 //!
 //! Pages of other sites, open in a browser that can reach this server, must not watch or control the node. Their
 //! requests carry their `Origin`, and a foreign name that resolves to this machine (DNS rebinding) appears as `Host`.

@@ -38,7 +38,7 @@ impl Baselines {
     }
 
     /// The same without rollouts.
-    pub(super) fn emptied(&self) -> Self {
+    pub(super) fn empty_copy(&self) -> Self {
         Self::new(self.gravity, self.domain, self.walls)
     }
 

@@ -38,7 +38,7 @@ pub(super) async fn connect(
     upgrade: WebSocketUpgrade,
 ) -> Response {
     let may_control = server.token.as_ref().is_none_or(|token| {
-        token.is_in_cookies(&headers) || token.is_in(query.as_deref()) == Some(true)
+        token.matches_cookies(&headers) || token.matches_query(query.as_deref()) == Some(true)
     });
     let Some(mailbox) = server.hub.join(MAX_BROWSERS) else {
         let full = format!("{MAX_BROWSERS} browsers are connected, no more are accepted\n");
@@ -166,8 +166,7 @@ async fn execute(server: &ServerState, command: PageCommand) -> Result<String, S
         _ => controls.available().contains(&command.name()),
     };
     if !is_available {
-        let expected = controls.available().join(", ");
-        return Err(format!("found {}, expected one of {expected}", command.name()));
+        return Err(format!("{} is not available on this page", command.name()));
     }
     let outcome = tokio::task::spawn_blocking(move || controls.execute(command)).await;
     // Even a failed command may have changed something.

@@ -34,7 +34,7 @@ const RESTART_FRAMES: u64 = 16;
 pub struct PredictionInfo {
     /// Sequence of the last observed frame.
     pub source: u64,
-    /// Frames from that one to the predicted one; 0 if unknown.
+    /// Frames from the source to the predicted frame; 0 if unknown.
     pub horizon: u32,
     /// Whether the stream is in a free run.
     pub free_running: bool,
@@ -69,14 +69,14 @@ pub struct Comparison {
     pairs: u64,
     /// Horizon of the last pair.
     last: Option<u32>,
-    newest: Published,
+    newest: SourceHorizons,
     /// Horizons that are predicted at present.
-    present: RangeInclusive<u32>,
+    current_horizons: RangeInclusive<u32>,
 }
 
 /// Horizons of the predictions from one observed frame.
 #[derive(Clone, Debug)]
-struct Published {
+struct SourceHorizons {
     source: Option<u64>,
     horizons: RangeInclusive<u32>,
 }
@@ -85,15 +85,15 @@ impl Comparison {
     /// Baselines use gravity and walls of `model`.
     pub fn new(model: &Description) -> Self {
         let Ballistic { gravity, lower, upper, .. } = Ballistic::new(model);
-        Self::beside(Baselines::new(gravity, model.domain, [lower, upper]))
+        Self::with_baselines(Baselines::new(gravity, model.domain, [lower, upper]))
     }
 
     /// An empty comparison with the same baselines.
-    pub fn emptied(&self) -> Self {
-        Self::beside(self.baselines.emptied())
+    pub fn empty_copy(&self) -> Self {
+        Self::with_baselines(self.baselines.empty_copy())
     }
 
-    fn beside(baselines: Baselines) -> Self {
+    fn with_baselines(baselines: Baselines) -> Self {
         Self {
             baselines,
             stream: None,
@@ -103,8 +103,8 @@ impl Comparison {
             time: VecDeque::new(),
             pairs: 0,
             last: None,
-            newest: Published { source: None, horizons: 0..=0 },
-            present: 0..=u32::MAX,
+            newest: SourceHorizons { source: None, horizons: 0..=0 },
+            current_horizons: 0..=u32::MAX,
         }
     }
 
@@ -134,7 +134,7 @@ impl Comparison {
     pub fn prediction(&mut self, frame: Arc<Frame>, info: PredictionInfo) -> Option<Pair> {
         // A free run may be far behind the truth: only the truth restarts the comparison.
         self.follow(frame.stream, false);
-        self.published(info);
+        self.record_horizon(info);
         if let Some(truth) = self.truths.get(&frame.sequence) {
             let truth = Arc::clone(truth);
             return self.compare(&truth, frame, info);
@@ -146,19 +146,19 @@ impl Comparison {
         None
     }
 
-    /// Notes which horizons are predicted. From an observed frame they are complete when the next one is predicted from; a
-    /// free run adds one a frame.
-    fn published(&mut self, PredictionInfo { source, horizon, free_running }: PredictionInfo) {
-        let Published { source: newest, horizons } = &mut self.newest;
+    /// Records which horizons are predicted. The horizons of a source frame are complete when the first prediction from the next
+    /// source arrives; a free run adds one horizon per frame.
+    fn record_horizon(&mut self, PredictionInfo { source, horizon, free_running }: PredictionInfo) {
+        let SourceHorizons { source: newest, horizons } = &mut self.newest;
         if *newest != Some(source) {
             if newest.is_some() {
-                self.present = horizons.clone();
+                self.current_horizons = horizons.clone();
             }
             (*newest, *horizons) = (Some(source), horizon..=horizon);
         }
         *horizons = horizon.min(*horizons.start())..=horizon.max(*horizons.end());
         if free_running {
-            self.present = horizons.clone();
+            self.current_horizons = horizons.clone();
         }
     }
 
@@ -178,7 +178,7 @@ impl Comparison {
     /// Clears everything when the stream changes or restarts.
     fn follow(&mut self, stream: u64, restarted: bool) {
         if restarted || self.stream != Some(stream) {
-            *self = Self { stream: Some(stream), ..self.emptied() };
+            *self = Self { stream: Some(stream), ..self.empty_copy() };
         }
     }
 
@@ -238,12 +238,12 @@ impl Comparison {
 
     /// The curves.
     pub fn curves(&self) -> Curves {
-        let present = self.recent.iter().filter(|(horizon, recent)| {
-            self.present.contains(horizon) && recent.used + RECENT_PAIRS > self.pairs
+        let current = self.recent.iter().filter(|(horizon, recent)| {
+            self.current_horizons.contains(horizon) && recent.used + RECENT_PAIRS > self.pairs
         });
         Curves {
             time: self.time.iter().copied().collect(),
-            by_horizon: present.filter_map(|(&horizon, recent)| recent.summary(horizon)).collect(),
+            by_horizon: current.filter_map(|(&horizon, recent)| recent.summary(horizon)).collect(),
             now: self.summary(),
         }
     }
@@ -285,7 +285,7 @@ mod tests {
 
     fn comparison() -> Comparison {
         let walls = [[0.05; 2], [0.95; 2]];
-        Comparison::beside(Baselines::new([0.0, -9.8], Domain::UNIT, walls))
+        Comparison::with_baselines(Baselines::new([0.0, -9.8], Domain::UNIT, walls))
     }
 
     fn info(source: u64, horizon: u32) -> PredictionInfo {

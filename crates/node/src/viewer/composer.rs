@@ -24,8 +24,8 @@ const MAX_UNPAIRED_FRAMES: u32 = 4;
 const MAX_SKEW_FRAMES: u64 = 4;
 /// Relative decay of the top speed per frame.
 const TOP_SPEED_DECAY: f32 = 0.002;
-/// Percentile of the speeds, and its largest multiple that speeds are encoded up to: beyond it, a few particles that are
-/// absurdly fast would leave no levels for the others.
+/// Speeds are encoded up to at most [`MAX_TOP_SPEED`] times this percentile: a few outliers would otherwise leave no levels for
+/// the other particles.
 const TYPICAL_PERCENTILE: f64 = 0.98;
 const MAX_TOP_SPEED: f32 = 64.0;
 /// Streams kept beside the displayed ones.
@@ -42,7 +42,7 @@ struct StreamView {
     unpredicted: u32,
     top_speed: f32,
     /// Time of the last update of the curves.
-    drawn: Duration,
+    curves_updated: Duration,
     used: Duration,
 }
 
@@ -66,7 +66,7 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             oldest.and_then(|oldest| views.remove(&oldest));
         }
         let view =
-            views.entry(stream).or_insert_with(|| StreamView::new(comparison.emptied(), now));
+            views.entry(stream).or_insert_with(|| StreamView::new(comparison.empty_copy(), now));
         view.used = now;
         let displayed = match copy {
             FrameCopy::Truth(frame) => view.truth(Arc::new(frame)),
@@ -76,9 +76,9 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             let top_speed = view.top_speed(&displayed);
             hub.show(stream, &Bytes::from(wire::encode(&displayed, top_speed)));
         }
-        if now.saturating_sub(view.drawn) > CURVES_INTERVAL {
-            view.drawn = now;
-            hub.draw(stream, view.comparison.curves());
+        if now.saturating_sub(view.curves_updated) > CURVES_INTERVAL {
+            view.curves_updated = now;
+            hub.store_curves(stream, view.comparison.curves());
         }
     }
 }
@@ -87,7 +87,15 @@ impl StreamView {
     fn new(comparison: Comparison, now: Duration) -> Self {
         let (unobserved, unpredicted) = (0, 0);
         let (predicted, top_speed) = (None, 0.0);
-        Self { comparison, predicted, unobserved, unpredicted, top_speed, drawn: now, used: now }
+        Self {
+            comparison,
+            predicted,
+            unobserved,
+            unpredicted,
+            top_speed,
+            curves_updated: now,
+            used: now,
+        }
     }
 
     /// Displays an observed frame with its prediction; nothing yet if a free run is about to reach it.
@@ -131,7 +139,7 @@ impl StreamView {
         (!expected).then(|| DisplayedFrame { truth, prediction, ..DisplayedFrame::default() })
     }
 
-    /// Speed of the fastest recent particle, unless it is absurd (domain lengths per second).
+    /// Speed of the fastest recent particle, without outliers (domain lengths per second).
     fn top_speed(&mut self, displayed: &DisplayedFrame) -> f32 {
         let prediction = displayed.prediction.as_ref().map(|(frame, _)| frame);
         let frame = displayed.truth.as_ref().or(prediction);
@@ -143,7 +151,7 @@ impl StreamView {
             true => 0.0,
             false => *speeds.select_nth_unstable_by(index, f32::total_cmp).1,
         };
-        // Where nearly all rest, the fastest are not absurd.
+        // Where nearly all particles are at rest, the moving ones are not outliers.
         let limit = if typical > 1e-3 { MAX_TOP_SPEED * typical } else { f32::INFINITY };
         let kept = self.top_speed * (1.0 - TOP_SPEED_DECAY);
         self.top_speed = fastest.max(kept).min(limit).max(1e-3);
@@ -250,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn one_absurd_particle_leaves_levels_for_the_others() {
+    fn one_outlier_leaves_levels_for_the_others() {
         let mut view = view();
         let mut fast = (*frame(1)).clone();
         fast.position = vec![[0.5; 2]; 100];

@@ -1,4 +1,4 @@
-//! Accepts connections: how many there may be, and how long they may take.
+//! Accepts connections and limits their number and duration.
 
 use std::{collections::VecDeque, mem, pin::pin, time::Duration};
 
@@ -14,11 +14,11 @@ use tokio::{
     time,
 };
 
-/// Maximum number of connections. Those of browsers that are connected do not count: they have a limit of their own.
+/// Maximum number of connections. WebSockets do not count: they have their own limit.
 const MAX_CONNECTIONS: usize = 64;
 /// How long the head of a request may take, and how long a connection may wait for the next one.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long a connection is kept for further requests. One that does not read its response does not last longer.
+/// Maximum age of a connection, even if its client has not read the response.
 const MAX_AGE: Duration = Duration::from_secs(60);
 /// Maximum size of the head of a request (bytes).
 const MAX_HEAD: usize = 16 << 10;

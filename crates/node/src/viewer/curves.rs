@@ -8,7 +8,7 @@ use eddy_evaluation::Baseline;
 const WINDOW: f64 = 1.0;
 /// Error of the best baseline below which skill is undefined (domain lengths): at rest it is exact.
 const AT_REST: f64 = 1e-4;
-/// Maximum number of pairs in it.
+/// Maximum number of pairs in the window.
 const WINDOW_PAIRS: usize = 1024;
 
 /// Mean errors at one horizon, over the last second of simulation time.

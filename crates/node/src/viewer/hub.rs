@@ -130,7 +130,7 @@ impl Hub {
     /// Passes on an observed frame. Never blocks.
     pub fn observed(&self, frame: &FrameView<'_>) {
         self.observed.fetch_add(1, Ordering::Relaxed);
-        if self.is_watched() && self.wants(frame.stream) {
+        if self.is_watched() && self.note_activity(frame.stream) {
             self.inbox.push_or_drop_oldest(FrameCopy::Truth(frame.to_frame()));
         }
     }
@@ -138,7 +138,7 @@ impl Hub {
     /// Passes on a predicted frame. Never blocks.
     pub fn predicted(&self, frame: &Frame, info: PredictionInfo) {
         self.predicted.fetch_add(1, Ordering::Relaxed);
-        if self.is_watched() && self.wants(frame.stream) {
+        if self.is_watched() && self.note_activity(frame.stream) {
             self.inbox.push_or_drop_oldest(FrameCopy::Prediction(frame.clone(), info));
         }
     }
@@ -156,8 +156,8 @@ impl Hub {
         }
     }
 
-    /// Whether a browser displays this stream. Lists the stream.
-    fn wants(&self, stream: u64) -> bool {
+    /// Records a frame of the stream. Returns whether a browser displays it.
+    fn note_activity(&self, stream: u64) -> bool {
         let now = self.clock.now();
         let mut state = self.lock();
         state.latest = now;
@@ -216,7 +216,7 @@ impl Hub {
     }
 
     /// Keeps the curves of a stream.
-    pub(super) fn draw(&self, stream: u64, curves: Curves) {
+    pub(super) fn store_curves(&self, stream: u64, curves: Curves) {
         let mut state = self.lock();
         let HubState { streams, curves: all, .. } = &mut *state;
         all.insert(stream, Arc::new(curves));

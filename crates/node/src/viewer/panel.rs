@@ -46,7 +46,7 @@ impl LivePage {
         Ok(Self { hub, viewer })
     }
 
-    /// Where to leave frames for the page.
+    /// The hub that passes frames to the page.
     pub fn hub(&self) -> &Arc<Hub> {
         &self.hub
     }
@@ -57,7 +57,7 @@ impl LivePage {
         let warning = if is_local {
             ""
         } else {
-            " (anyone who can reach this address can watch; this URL also controls)"
+            " (anyone who can reach this address can watch; anyone with this URL can also control)"
         };
         format!("{}{warning}", self.viewer.url())
     }

@@ -16,15 +16,15 @@ pub(super) fn render(hub: &Hub, info: &PageInfo) -> String {
     let labels = [("command", info.command), ("version", env!("CARGO_PKG_VERSION"))];
     let model = info.model.as_deref().map(|model| ("model", model));
     let labels: Vec<_> = labels.into_iter().chain(model).collect();
-    text.metric("eddy_info", "gauge", "The program, 1.");
+    text.metric("eddy_info", "gauge", "Build and model information; always 1.");
     text.sample("eddy_info", &labels, 1);
     for (name, kind, help, value) in [
-        ("eddy_page_browsers", "gauge", "Browsers that display the page.", browsers as u64),
-        ("eddy_page_observed_total", "counter", "Observed frames that passed the page.", observed),
+        ("eddy_page_browsers", "gauge", "Connected browsers.", browsers as u64),
+        ("eddy_page_observed_total", "counter", "Observed frames received by the page.", observed),
         (
             "eddy_page_predicted_total",
             "counter",
-            "Predicted frames that passed the page.",
+            "Predicted frames received by the page.",
             predicted,
         ),
         ("eddy_page_shown_total", "counter", "Frames encoded for browsers.", shown),
@@ -50,7 +50,7 @@ fn node(text: &mut Text, status: &NodeStatus) {
     for (quantile, latency) in ["0.5", "0.99"].into_iter().zip(status.latency) {
         text.sample("eddy_latency_seconds", &[("quantile", quantile)], latency.as_secs_f64());
     }
-    text.metric("eddy_streams", "gauge", "Streams that the node keeps.");
+    text.metric("eddy_streams", "gauge", "Streams with state in the node.");
     text.sample("eddy_streams", &[], status.streams);
     text.metric("eddy_frames_lost_total", "counter", "Frames lost before the model saw them.");
     text.sample("eddy_frames_lost_total", &[], status.lost);
@@ -70,7 +70,7 @@ fn node(text: &mut Text, status: &NodeStatus) {
     }
     for &(name, count) in &status.counters {
         let metric = format!("eddy_{name}_total");
-        text.metric(&metric, "counter", &format!("{name} of the node's diagnostics."));
+        text.metric(&metric, "counter", &format!("Node counter {name}, as in /diagnostics."));
         text.sample(&metric, &[], count);
     }
 }

@@ -227,7 +227,7 @@ async fn page(
     content: &'static str,
 ) -> Response {
     let token = server.token.as_ref();
-    match token.and_then(|token| Some((token, token.is_in(query.as_deref())?))) {
+    match token.and_then(|token| Some((token, token.matches_query(query.as_deref())?))) {
         None => file(kind, content),
         Some((token, true)) => {
             let mut response = file(kind, "");
@@ -237,8 +237,7 @@ async fn page(
             response
         }
         Some((_, false)) => {
-            let wrong =
-                "token: found another one, expected that of the URL that the program printed\n";
+            let wrong = "invalid token: open the URL that the program printed\n";
             (StatusCode::FORBIDDEN, wrong).into_response()
         }
     }

@@ -42,19 +42,19 @@ impl Token {
         format!("?{PARAMETER}{}", self.text)
     }
 
-    /// Whether the query of a URL has a token, and whether it is this one.
-    pub(super) fn is_in(&self, query: Option<&str>) -> Option<bool> {
+    /// Whether the token in the query of a URL is this one; `None` if the query has no token.
+    pub(super) fn matches_query(&self, query: Option<&str>) -> Option<bool> {
         let mut parameters = query?.split('&');
         let given = parameters.find_map(|parameter| parameter.strip_prefix(PARAMETER))?;
-        Some(self.is(given))
+        Some(self.matches(given))
     }
 
     /// Whether the request has the cookie.
-    pub(super) fn is_in_cookies(&self, headers: &HeaderMap) -> bool {
+    pub(super) fn matches_cookies(&self, headers: &HeaderMap) -> bool {
         let values = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
         values.flat_map(|value| value.split(';')).any(|cookie| {
             let cookie = cookie.trim().split_once('=');
-            cookie.is_some_and(|(name, value)| name == self.cookie && self.is(value))
+            cookie.is_some_and(|(name, value)| name == self.cookie && self.matches(value))
         })
     }
 
@@ -66,7 +66,7 @@ impl Token {
     }
 
     /// Compares in constant time.
-    fn is(&self, given: &str) -> bool {
+    fn matches(&self, given: &str) -> bool {
         let (ours, given) = (self.text.as_bytes(), given.as_bytes());
         ours.len() == given.len()
             && ours.iter().zip(given).fold(0, |all, (a, b)| all | (a ^ b)) == 0
@@ -90,20 +90,20 @@ mod tests {
             [1, 2].map(|_| Token::for_address("0.0.0.0:8080".parse().unwrap()).unwrap().unwrap());
         assert_ne!(token, other);
         let query = |token: &Token| token.query().trim_start_matches('?').to_owned();
-        assert_eq!(token.is_in(Some(&query(&token))), Some(true));
-        assert_eq!(token.is_in(Some(&format!("a=b&{}", query(&token)))), Some(true));
-        assert_eq!(token.is_in(Some(&query(&other))), Some(false));
-        assert_eq!(token.is_in(Some("token=")), Some(false));
-        assert_eq!(token.is_in(Some("a=b")), None);
-        assert_eq!(token.is_in(None), None);
+        assert_eq!(token.matches_query(Some(&query(&token))), Some(true));
+        assert_eq!(token.matches_query(Some(&format!("a=b&{}", query(&token)))), Some(true));
+        assert_eq!(token.matches_query(Some(&query(&other))), Some(false));
+        assert_eq!(token.matches_query(Some("token=")), Some(false));
+        assert_eq!(token.matches_query(Some("a=b")), None);
+        assert_eq!(token.matches_query(None), None);
         let cookies = |text: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(header::COOKIE, text.parse().unwrap());
-            token.is_in_cookies(&headers)
+            token.matches_cookies(&headers)
         };
         let ours = token.set_cookie().to_str().unwrap().split(';').next().unwrap().to_owned();
         assert!(cookies(&ours) && cookies(&format!("a=b; {ours}")));
         assert!(!cookies(&ours.replace("8080", "8081")) && !cookies(&format!("{ours}0")));
-        assert!(!token.is_in_cookies(&HeaderMap::new()));
+        assert!(!token.matches_cookies(&HeaderMap::new()));
     }
 }

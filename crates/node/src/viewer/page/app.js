@@ -131,17 +131,17 @@ function start(hello) {
   listControls();
 }
 
-/** Forgets the frames of another program. */
+/** Discards the frames of the previous run of the program. */
 function forget() {
   history.clear();
   now.predicted = false;
   now.past = null;
-  followAnew();
+  resetAutomaticLimits();
   redraw();
 }
 
-/** Lets the limits of the colours start from the particles of the next frame. */
-function followAnew() {
+/** Restarts the automatic colour limits from the next frame. */
+function resetAutomaticLimits() {
   for (const scale of Object.values(scales)) scale.automatic = null;
 }
 
@@ -153,7 +153,7 @@ try {
   painter = new Painter($("particles"), redraw);
 } catch (error) {
   failure = error.message;
-  $("waiting").textContent = `${failure}: cannot draw particles`;
+  $("waiting").textContent = `cannot draw particles: ${failure}`;
 }
 
 /** Whether there are predictions, or will be. */
@@ -196,7 +196,7 @@ function tick(time) {
     if (now.held) now.steps -= 1;
     acknowledge();
     now.drawn.push(time);
-    if (now.frame && now.frame.stream !== frame.stream) followAnew();
+    if (now.frame && now.frame.stream !== frame.stream) resetAutomaticLimits();
     history.add(frame);
     scales[view.colour]?.update(frame);
     present(frame);

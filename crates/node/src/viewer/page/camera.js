@@ -4,7 +4,7 @@ const MAX_ZOOM = 40;
 const WHEEL = 0.0015; // exponent of the zoom per pixel of the wheel
 
 export class Camera {
-  /** Listens to the pointers on `plots`; `changed` is called when the view is another. */
+  /** Listens to the pointers on `plots`; `changed` is called when the view changes. */
   constructor(plots, changed) {
     this.changed = changed;
     this.aspect = 1; // of the domain

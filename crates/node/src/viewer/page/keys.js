@@ -6,7 +6,7 @@ import { rows } from "/metrics.js";
 const KEYS = [
   [" ", "space", "pause or resume", "pause"],
   ["ArrowRight", "→", "advance by one frame", "step"],
-  ["ArrowLeft", "←", "back by one frame of the timeline", "previous"],
+  ["ArrowLeft", "←", "go back one frame in the timeline", "previous"],
   ["End", "End", "the newest frame", "live"],
   ["r", "r", "reset all streams", "reset"],
   ["f", "f", "free run on or off", "free_run"],
@@ -26,7 +26,7 @@ const KEYS = [
   ["?", "?", "controls and keys", "help"],
 ];
 /** Keys that a slider handles itself. */
-const OF_SLIDERS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
+const SLIDER_KEYS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
 
 /** Lists the keys, and performs the actions of those that are pressed. */
 export function listen(actions) {
@@ -34,7 +34,7 @@ export function listen(actions) {
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const { target, key } = event;
-    const isFree = target.type === "range" && !OF_SLIDERS.includes(key);
+    const isFree = target.type === "range" && !SLIDER_KEYS.includes(key);
     if (target.closest("input, select, dialog") && !isFree) return;
     // The space bar presses a focused button.
     if (key === " " && target.closest("button, summary")) return;

@@ -30,8 +30,8 @@ export class Legend {
     const typed = [...this.scale.typed];
     typed[end] = text === "" ? null : Number(text.replace(",", "."));
     if (text !== "") {
-      const refused = Number.isFinite(typed[end]) ? this.scale.refuses(typed[end]) : "expected a number";
-      if (refused) return `colour limit: found ${text}, ${refused}`;
+      const problem = Number.isFinite(typed[end]) ? this.scale.problemWith(typed[end]) : "expected a number";
+      if (problem) return `colour limit: found ${text}, ${problem}`;
       const other = typed[1 - end] ?? this.scale.limits[1 - end];
       if (end === 0 ? typed[0] >= other : typed[1] <= other) {
         return `colour limits: found ${end === 0 ? text : shortNumber(other)} to ${end === 0 ? shortNumber(other) : text}, expected the lower one first`;

@@ -58,7 +58,7 @@ export function show(metrics, hello, frame, drawn) {
   $("skill").querySelector("span").textContent = words;
 }
 
-/** Skill as text: the number, and what it is of. */
+/** Skill as text: the number and its description. */
 export function skillText(skill) {
   if (!skill) return ["", ""];
   // A bag without statuses does not say what its predictions were made from.

@@ -15,7 +15,7 @@ uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
 uniform vec3 materials[4];
 uniform vec3 scale[9];
 uniform float from;                     // start of the scale
-uniform vec2 limits;                    // offset and factor that make a share of the scale of a level
+uniform vec2 limits;                    // offset and factor from a level to a position on the scale
 uniform vec3 plain;
 out vec3 colour;
 vec3 shade(float share) {

@@ -1,7 +1,7 @@
 // The colour scale of a property: its limits are percentiles of the particles, steady over frames, or typed numbers.
 
 const PERCENTILES = [0.02, 0.98];
-const FOLLOW = 0.03; // share of the way to the percentiles of a frame by which the limits follow them
+const SMOOTHING = 0.03; // fraction of the distance to a frame's percentiles by which the limits move
 
 /** Start of the colours, 0 to 1: their dark end is invisible on a dark background. */
 export const colourStart = (dark) => (dark ? 0.18 : 0);
@@ -44,7 +44,7 @@ class Limits {
   follow(levels, coordinate) {
     const target = percentiles(levels)?.map(coordinate);
     if (!target) return;
-    this.automatic = this.automatic?.map((now, end) => now + FOLLOW * (target[end] - now)) ?? target;
+    this.automatic = this.automatic?.map((now, end) => now + SMOOTHING * (target[end] - now)) ?? target;
   }
 
   get isTyped() {
@@ -72,12 +72,12 @@ export class SpeedScale extends Limits {
     return high - low >= least ? [low, high] : this.typed[1] == null ? [low, low + least] : [high - least, high];
   }
 
-  /** Why a typed number is not a limit; nothing if it is one. */
-  refuses(number) {
-    return number >= 0 ? "" : "expected a number from 0";
+  /** Why a number cannot be a limit; empty if it can. */
+  problemWith(number) {
+    return number >= 0 ? "" : "expected 0 or more";
   }
 
-  /** Offset and factor that make a share of the colours of the square of a level (0 to 1). */
+  /** Offset and factor from the squared level (0 to 1) to a position on the colour scale (0 to 1). */
   mapping({ topSpeed }) {
     const [low, high] = this.limits;
     return [low / topSpeed, topSpeed / (high - low)];
@@ -105,11 +105,11 @@ export class ErrorScale extends Limits {
     return high > 1.1 * low ? [low, high] : this.typed[1] == null ? [low, 1.1 * low] : [high / 1.1, high];
   }
 
-  refuses(number) {
+  problemWith(number) {
     return number > 0 ? "" : "expected a positive number";
   }
 
-  /** Offset and factor that make a share of the colours of a level (0 to 1). */
+  /** Offset and factor from a level (0 to 1) to a position on the colour scale (0 to 1). */
   mapping() {
     const [first, last] = this.ends.map(Math.log10);
     const [low, high] = this.limits.map((limit) => (Math.log10(limit) - first) / (last - first));

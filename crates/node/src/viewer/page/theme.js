@@ -34,7 +34,7 @@ export function colours() {
 }
 
 let changed = () => {};
-/** Calls `then` when the colours are others. */
+/** Calls `then` when the colours change. */
 export function onChange(then) {
   changed = then;
 }
