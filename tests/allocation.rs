@@ -18,6 +18,7 @@ use eddy_inference::{
         tensor_shapes,
     },
     engine::Surrogate,
+    error_model::ErrorModel,
 };
 use eddy_messages::{Message, ParticleFrame, PredictionStatus};
 use eddy_node::{
@@ -80,6 +81,13 @@ fn checkpoint(architecture: Architecture, core: Core, pooling: Pooling) -> Check
         (name, Weights { shape, values })
     });
     Checkpoint::new(description, tensors.collect())
+}
+
+/// With the estimates of the shipped model: errors are estimated, however wrongly.
+fn calibrated(checkpoint: Checkpoint) -> Checkpoint {
+    let error_model = Checkpoint::shipped().unwrap().error_model.unwrap();
+    let error_model = ErrorModel { checkpoint: checkpoint.digest(), ..error_model };
+    Checkpoint { error_model: Some(error_model), ..checkpoint }
 }
 
 fn frame(description: &Description) -> Frame {
@@ -198,8 +206,10 @@ fn a_node_on_shared_memory_allocates_nothing_from_receive_to_publish() {
         format!("shm:/allocation_{}/{name}", std::process::id()).parse().unwrap()
     };
     for horizon in [1, 4] {
-        let checkpoint = checkpoint(Architecture::Particle, Core::MinGru, Pooling::Mean);
+        let checkpoint =
+            calibrated(checkpoint(Architecture::Particle, Core::MinGru, Pooling::Mean));
         let surrogate = Surrogate::load(&checkpoint, NonZeroUsize::new(2)).unwrap();
+        assert!(surrogate.error_model().is_some());
         let warm_up = surrogate.description().warm_up as usize;
         let first = frame(surrogate.description());
         let frames: Vec<_> = (0..warm_up + 20 + FRAMES)
