@@ -9,7 +9,7 @@ use super::Sample;
 
 /// Intervals of estimated probabilities, of equal width.
 const BINS: usize = 10;
-/// Predictions that were worse than ballistic ones, and those that were not, from which on they are compared.
+/// Fewest predictions that were worse than ballistic ones, and that were not, for an AUROC; fewest predictions of a pooled bin.
 const MIN_EVENTS: usize = 10;
 
 /// An estimate beside the error that it is about.
@@ -122,6 +122,22 @@ impl Reliability {
             bins: bins(outcomes),
         }
     }
+    /// Bins over all numbers of frames ahead, those with enough predictions to say something.
+    pub fn pooled_bins(all: &[Self]) -> Vec<Bin> {
+        let bins = || all.iter().flat_map(|at| &at.bins);
+        let pooled = |number: usize| {
+            let of_it = || bins().filter(|bin| interval(bin.estimated) == number);
+            let count = of_it().map(|bin| bin.count).sum();
+            let mean = |of: fn(&Bin) -> f64| {
+                of_it().map(|bin| of(bin) * bin.count as f64).sum::<f64>() / count as f64
+            };
+            let bin =
+                Bin { estimated: mean(|b| b.estimated), observed: mean(|b| b.observed), count };
+            (count >= MIN_EVENTS).then_some(bin)
+        };
+        (0..BINS).filter_map(pooled).collect()
+    }
+
     /// A table with a row for each number of frames ahead of each model; a single model needs no name.
     pub fn table<'a>(models: impl IntoIterator<Item = (Option<String>, &'a [Self])>) -> Table {
         let bound = format!("below the {:.0} % bound", 100.0 * UPPER_LEVEL);
@@ -160,10 +176,15 @@ impl Reliability {
     }
 }
 
+/// The number of the interval with this probability.
+fn interval(probability: f64) -> usize {
+    ((probability * BINS as f64) as usize).min(BINS - 1)
+}
+
 fn bins(outcomes: &[Outcome]) -> Vec<Bin> {
     let of = |number: usize| {
-        let interval = |o: &&Outcome| ((o.probability * BINS as f64) as usize).min(BINS - 1);
-        let found: Vec<&Outcome> = outcomes.iter().filter(|o| interval(o) == number).collect();
+        let is_in = |outcome: &&Outcome| interval(outcome.probability) == number;
+        let found: Vec<&Outcome> = outcomes.iter().filter(is_in).collect();
         let count = found.len() as f64;
         let worse = found.iter().filter(|outcome| outcome.worse_than_ballistic).count() as f64;
         let estimated = found.iter().map(|outcome| outcome.probability).sum::<f64>() / count;
@@ -238,6 +259,12 @@ mod tests {
         let bins: Vec<_> = found.bins.iter().map(|bin| (bin.observed, bin.count)).collect();
         assert_eq!(bins, [(0.5, 2), (1.0, 2)]);
         assert!((found.bins[0].estimated - 0.25).abs() < 1e-12);
+
+        let many = vec![found.clone(); 5];
+        let pooled = Reliability::pooled_bins(&many);
+        assert_eq!((pooled.len(), pooled[0].count, pooled[1].count), (2, 10, 10));
+        assert!((pooled[0].estimated - 0.25).abs() < 1e-12 && pooled[0].observed == 0.5);
+        assert!(Reliability::pooled_bins(&many[1..]).is_empty(), "too few to say something");
 
         outcomes.push(Outcome { horizon: 1, ..outcomes[0] });
         let horizons = Reliability::by_horizon(&outcomes);

@@ -16,27 +16,28 @@ impl Report {
         );
         let plots = self.estimating().flat_map(|entry| {
             let title = |what: &str| format!("{}: {what}", entry.name);
-            let curves = |of: fn(&Reliability) -> Vec<[f64; 2]>| {
-                let found = entry.reliability.iter();
-                let curve = |found: &Reliability| Series {
-                    name: format!("frame {}", found.horizon),
-                    points: of(found),
-                    ..Series::default()
-                };
-                found.map(curve).collect()
+            let curve = |found: &Reliability| Series {
+                name: format!("frame {}", found.horizon),
+                points: coverage(found),
+                ..Series::default()
             };
+            let pooled = Reliability::pooled_bins(&entry.reliability);
             [
                 LinePlot {
                     title: title("quantiles of the error"),
                     x: Axis::linear("level of the estimated quantile"),
                     y: Axis::linear("share of errors below it"),
-                    series: curves(coverage),
+                    series: entry.reliability.iter().map(curve).collect(),
                 },
                 LinePlot {
                     title: title("worse than ballistic"),
                     x: Axis::linear("estimated probability"),
                     y: Axis::linear("share of predictions"),
-                    series: curves(frequencies),
+                    series: vec![Series {
+                        name: "all frames ahead".to_owned(),
+                        points: pooled.iter().map(|bin| [bin.estimated, bin.observed]).collect(),
+                        ..Series::default()
+                    }],
                 },
             ]
         });
@@ -58,9 +59,4 @@ impl Report {
 fn coverage(found: &Reliability) -> Vec<[f64; 2]> {
     let level = |(&level, &share): (&f32, &f64)| [level.into(), share];
     LEVELS.iter().zip(&found.coverage).map(level).collect()
-}
-
-/// Estimated probability and share.
-fn frequencies(found: &Reliability) -> Vec<[f64; 2]> {
-    found.bins.iter().map(|bin| [bin.estimated, bin.observed]).collect()
 }
