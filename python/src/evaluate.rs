@@ -131,6 +131,9 @@ pub(crate) fn skill<'py>(
     let shape = [Some(starts.len()), None, Some(particles), Some(2)];
     let truth = Argument::<f32>::new("truth", truth, &shape)?;
     let horizon = truth.shape()[1];
+    if horizon == 0 {
+        return Err(wrong("truth", "0 frames", "at least 1"));
+    }
     let shape = [Some(starts.len()), Some(horizon), Some(particles), Some(2)];
     let predicted = Argument::<f32>::new("predicted", predicted, &shape)?;
     let (truth, predicted) = (truth.pairs(), predicted.pairs());

@@ -53,6 +53,8 @@ def test_skill_of_any_rollouts_is_that_of_eddy_eval(bags: Path) -> None:
         eddy.skill(first, truth, still[:, :3].copy())
     with pytest.raises(ValueError, match="starts: found no frames"):
         eddy.skill([], truth, still)
+    with pytest.raises(ValueError, match="truth: found 0 frames, expected at least 1"):
+        eddy.skill(first, truth[:, :0], still[:, :0])
 
 
 def test_an_exception_of_the_callback_ends_the_run(tmp_path: Path, bags: Path) -> None:

@@ -116,8 +116,10 @@ impl Calibration {
             reliability.extend(Reliability::by_horizon(&outcomes));
         }
         if calibrated.is_empty() {
-            let expected = "at least 2: nothing is known of a stream at its first frame";
-            return Err(EvaluationError::request("starts", starts, expected));
+            let usable = samples.iter().filter(|samples| !samples.is_empty()).count();
+            let expected =
+                "at least 10 with rollouts that do not diverge and start after the first frame";
+            return Err(EvaluationError::request("streams", usable, expected));
         }
         let digest = dataset::digest(&streams, |_| ())?;
         let rollouts = streams.iter().map(|stream| context.starts(stream.frames).len()).sum();
