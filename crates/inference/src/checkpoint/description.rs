@@ -252,7 +252,7 @@ fn check_normalization(file: &Path, scale: &Normalization) -> Result<(), Checkpo
     Ok(())
 }
 
-pub(super) fn field(
+pub(crate) fn field(
     file: &Path,
     field: impl Into<String>,
     found: String,

@@ -19,6 +19,7 @@ pub mod layout;
 mod network;
 mod rules;
 
+pub(crate) use description::field;
 pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};

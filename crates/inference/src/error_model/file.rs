@@ -3,7 +3,7 @@
 use std::{fs, io, path::Path};
 
 use super::{CalibratedHorizon, ErrorModel, Linear, Regression};
-use crate::checkpoint::CheckpointError;
+use crate::checkpoint::{CheckpointError, field};
 use eddy_settings::{atomic, near};
 
 /// Name of the file within the directory.
@@ -85,14 +85,4 @@ fn check(file: &Path, model: &ErrorModel) -> Result<(), CheckpointError> {
 
 fn not_finite(numbers: &[f32]) -> Option<String> {
     numbers.iter().find(|x| !x.is_finite()).map(f32::to_string)
-}
-
-fn field(
-    file: &Path,
-    field: impl Into<String>,
-    found: String,
-    expected: impl Into<String>,
-) -> CheckpointError {
-    let (file, field, expected) = (file.to_owned(), field.into(), expected.into());
-    CheckpointError::Field { file, field, found, expected }
 }

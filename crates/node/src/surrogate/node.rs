@@ -13,7 +13,7 @@ use super::{
     Counters, InvalidSettings, LifecycleState, LifecycleTransition, NodeSettings, Prediction,
     Rejection,
     step::{FAR, HorizonBuffers, Step, interval},
-    stream::{Order, StreamState},
+    stream::{Order, StreamState, expected_error},
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_inference::{
@@ -299,10 +299,8 @@ impl SurrogateNode {
             }
             let ahead = frame.sequence - stream.sequence;
             let horizon = u32::try_from(ahead).unwrap_or(u32::MAX);
-            let expected_error = match (&mut stream.error_tracker, self.surrogate.error_model()) {
-                (Some(tracker), Some(model)) => tracker.estimate(model, frame, horizon),
-                _ => None,
-            };
+            let model = self.surrogate.error_model();
+            let expected_error = expected_error(&mut stream.error_tracker, model, frame, horizon);
             output(
                 now,
                 Ok(Prediction {

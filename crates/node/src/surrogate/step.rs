@@ -5,7 +5,10 @@ use std::{
     time::Duration,
 };
 
-use super::{NodeSettings, Publish, stream::StreamState};
+use super::{
+    NodeSettings, Publish,
+    stream::{StreamState, expected_error},
+};
 use eddy_frames::{Frame, FrameView, decimal};
 use eddy_inference::{
     engine::{HiddenState, StepRequest, Stepper},
@@ -163,10 +166,7 @@ impl Step<'_> {
         }
         for (frame, horizon) in published(predicted, frames, settings) {
             self.finite &= frame.check().is_ok();
-            expected_errors.push(match (&mut *error_tracker, self.error_model) {
-                (Some(tracker), Some(model)) => tracker.estimate(model, frame, horizon),
-                _ => None,
-            });
+            expected_errors.push(expected_error(error_tracker, self.error_model, frame, horizon));
         }
     }
 

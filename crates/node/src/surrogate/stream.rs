@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use eddy_frames::{Frame, FrameView, Stamp};
-use eddy_inference::{engine::HiddenState, error_model::ErrorTracker};
+use eddy_inference::{
+    engine::HiddenState,
+    error_model::{ErrorEstimate, ErrorModel, ErrorTracker},
+};
 
 /// A stamp more than this many intervals in the past means that the stream restarted (a looped bag).
 const RESTART_INTERVALS: u32 = 16;
@@ -38,6 +41,16 @@ pub(super) enum Order {
     Late,
     /// The first frame of a restarted stream.
     Restart,
+}
+
+/// How far off a prediction `horizon` frames after the last observed one is expected to be, if the model is calibrated for it.
+pub(super) fn expected_error(
+    tracker: &mut Option<ErrorTracker>,
+    model: Option<&ErrorModel>,
+    predicted: &Frame,
+    horizon: u32,
+) -> Option<ErrorEstimate> {
+    tracker.as_mut()?.estimate(model?, predicted, horizon)
 }
 
 impl StreamState {

@@ -153,7 +153,7 @@ fn the_leftovers_of_a_killed_process_are_simulated_again_with_the_same_frames() 
     let staging = output.join(".incomplete");
     fs::create_dir(&staging).unwrap();
     fs::rename(output.join(directory(1)), staging.join(directory(1))).unwrap();
-    fs::write(staging.join("manifest.unfinished"), "half of a man").unwrap();
+    fs::write(staging.join("manifest.unfinished"), "{\"request\": ").unwrap();
     let again = simulate(&request(2), &output, &Silent, None).unwrap().finished;
     assert_eq!(again, before[1..]);
     assert_eq!(names(&output), ["manifest.json".to_owned(), directory(0), directory(1)]);
