@@ -131,7 +131,7 @@ extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Pl
   DYNAMIC_SHARED(float, shared);
   __shared__ u32 at_x[LEARN_NODES * STENCIL], at_by[LEARN_NODES * CHILDREN];
   const Plan& s = *plan;
-  const Outer o = outers[blockIdx.y];
+  const Outer& o = outers[blockIdx.y];
   const int b = blockIdx.x / splits, split = blockIdx.x % splits, frames = frames_of(s);
   const bool of_nodes = o.level >= 0, spread = of_nodes && o.stencil == TO_CHILDREN;
   const int places = of_nodes ? places_of(o.stencil) : 1, targets = spread ? CHILDREN : 1;
