@@ -41,7 +41,7 @@ pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
 };
-pub use simulate::{SceneArgs, SimulateArgs};
+pub use simulate::{SceneArgs, SimulateArgs, Stiffness};
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 pub use values::ComputeDevice;
 

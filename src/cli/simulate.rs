@@ -71,9 +71,10 @@ pub struct SceneArgs {
     /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
     #[arg(long, value_name = "N")]
     pub substeps: Option<u32>,
-    /// Young's modulus of every material (density x velocity^2) [default: the scene's; 1000, preset stiff 1e5].
-    #[arg(long, value_name = "E")]
-    pub stiffness: Option<f32>,
+    /// Young's modulus of every material (density x velocity^2); LOW..HIGH gives each random scene another one, its logarithm
+    /// uniform in this range [default: the scene's; 1000, preset stiff 1e5].
+    #[arg(long, value_name = "E|LOW..HIGH", value_parser = Stiffness::parse)]
+    pub stiffness: Option<Stiffness>,
     /// Constitutive law of liquids: water, or that of Taichi's mpm128 [default: the scene's; water].
     #[arg(long, value_enum)]
     pub law: Option<Law>,
@@ -87,4 +88,26 @@ pub struct SceneArgs {
     /// side, and its results differ from the processor's by rounding.
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
     pub device: ComputeDevice,
+}
+
+/// Young's modulus of scenes (density x velocity^2).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stiffness {
+    /// That of every scene.
+    One(f32),
+    /// The range of a random one for each scene.
+    Between([f32; 2]),
+}
+
+impl Stiffness {
+    fn parse(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.trim().parse::<f32>().ok();
+        let found = match text.split_once("..") {
+            None => number(text).map(Self::One),
+            Some((low, high)) => {
+                number(low).zip(number(high)).map(|(low, high)| Self::Between([low, high]))
+            }
+        };
+        found.ok_or_else(|| "expected a number, or a range such as 300..3e5".to_owned())
+    }
 }

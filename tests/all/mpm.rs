@@ -70,6 +70,35 @@ fn the_manifest_says_what_every_scene_is_and_how_its_energy_went() {
     }
 }
 
+#[test]
+fn a_range_of_stiffness_gives_each_scene_its_own_and_is_part_of_the_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let asked = |scenes, range| {
+        simulate(output, &["--scenes", scenes, "--duration", "0.032", "--stiffness", range])
+    };
+    succeed(asked("3", "300..3000"));
+    let written = manifest(output);
+    assert_eq!(written["request"]["stiffness"], serde_json::json!([300.0, 3000.0]));
+    let scenes = written["scenes"].as_array().unwrap().iter();
+    let all = scenes.map(|scene| scene["scene"]["materials"]["stiffness"].as_f64().unwrap());
+    let mut all: Vec<_> = all.collect();
+    assert!(all.iter().all(|stiffness| (300.0..=3000.0).contains(stiffness)), "{all:?}");
+    all.sort_by(f64::total_cmp);
+    all.dedup();
+    assert_eq!(all.len(), 3, "all scenes are different");
+
+    let said = fail(1, asked("4", "300..4000"));
+    assert!(said.contains("stiffness [300.0,3000.0] instead of [300.0,4000.0]"), "{said}");
+    let said = fail(2, asked("4", "300..200"));
+    let expected = "--stiffness: found 300..200, expected a positive number and a larger one";
+    assert!(said.contains(expected), "{said}");
+    let said = fail(2, asked("4", "soft"));
+    assert!(said.contains("expected a number, or a range such as 300..3e5"), "{said}");
+    let said = fail(2, simulate(output, &["--preset", "dam-break", "--stiffness", "1..2"]));
+    assert!(said.contains("preset dam-break is a single scene"), "{said}");
+}
+
 fn frames(bag: &Path) -> Vec<Frame> {
     BagReader::open(bag).unwrap().frames("/particles").unwrap().map(Result::unwrap).collect()
 }

@@ -7,6 +7,7 @@ use super::{
     error::MpmError,
     grid::GridShape,
     preset::{PARTICLES, Preset},
+    scene::MAX_STIFFNESS,
 };
 
 /// Minimum number of particles of a random scene: the smaller share of two materials is then a rope five particles thick
@@ -15,19 +16,21 @@ const MIN_PARTICLES: usize = 250;
 /// Maximum number of cells along x.
 const MAX_COLUMNS: usize = 65_535;
 
-/// Number of particles of a random scene, whether all scenes have the same bodies, and the domain: height 1, width 1 for up to 2,500 particles and proportional
-/// to their number above, rounded up to whole cells.
+/// What random scenes have in common: the number of particles, whether all scenes have the same bodies, the range of their
+/// stiffness, and the domain: height 1, width 1 for up to 2,500 particles and proportional to their number above, rounded up to
+/// whole cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     preset: Preset,
     particles: usize,
     same_bodies: bool,
+    stiffness: Option<[f32; 2]>,
 }
 
 impl Extent {
     /// The default: 2,500 particles in the unit square.
     pub fn usual(preset: Preset) -> Self {
-        Self { preset, particles: PARTICLES, same_bodies: false }
+        Self { preset, particles: PARTICLES, same_bodies: false, stiffness: None }
     }
 
     /// The extent for a number of particles.
@@ -37,7 +40,7 @@ impl Extent {
     pub fn of(preset: Preset, particles: usize) -> Result<Self, MpmError> {
         let most = MAX_COLUMNS / preset.cells() as usize * PARTICLES;
         if (MIN_PARTICLES..=most).contains(&particles) {
-            return Ok(Self { preset, particles, same_bodies: false });
+            return Ok(Self { particles, ..Self::usual(preset) });
         }
         Err(MpmError::Field {
             field: "particles".into(),
@@ -51,6 +54,27 @@ impl Extent {
     #[must_use]
     pub fn with_same_bodies(self) -> Self {
         Self { same_bodies: true, ..self }
+    }
+
+    /// The same, with a random Young's modulus for each scene: its logarithm is uniform in a range (density x velocity^2).
+    ///
+    /// # Errors
+    /// [`MpmError::Field`] unless the range goes from a positive number to a larger one, at most 1e9.
+    pub fn with_stiffness(self, range: [f32; 2]) -> Result<Self, MpmError> {
+        let [low, high] = range;
+        if low > 0.0 && low < high && f64::from(high) <= MAX_STIFFNESS {
+            return Ok(Self { stiffness: Some(range), ..self });
+        }
+        Err(MpmError::Field {
+            field: "stiffness".into(),
+            found: format!("{low}..{high}"),
+            expected: format!("a positive number and a larger one, at most {MAX_STIFFNESS:e}"),
+        })
+    }
+
+    /// The range of the stiffness, unless it is the preset's.
+    pub fn stiffness(&self) -> Option<[f32; 2]> {
+        self.stiffness
     }
 
     /// Whether all scenes have the same bodies, at the same places.

@@ -80,7 +80,11 @@ impl Scene {
             period: (extent.sets() > 1).then_some(width),
         });
         let domain = extent.grid().size();
-        Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() }
+        let mut scene = Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() };
+        if let Some([low, high]) = extent.stiffness() {
+            scene.materials.stiffness = low * (high / low).powf(rng.random_range(0.0..1.0));
+        }
+        scene
     }
 }
 
@@ -390,6 +394,33 @@ mod tests {
                 Some(&alone) => assert_eq!(found, [alone], "{id}"),
                 None => assert_eq!(found.len(), 2, "{id}: {found:?}"),
             }
+        }
+    }
+
+    #[test]
+    fn the_logarithm_of_a_random_stiffness_is_uniform_and_changes_nothing_else() {
+        let extent = Extent::usual(Preset::Kinds);
+        let [plain, varied] = [extent, extent.with_stiffness([1e2, 1e6]).unwrap()].map(|extent| {
+            (0..200).map(|id| Scene::generate_in(&extent, 7, id)).collect::<Vec<_>>()
+        });
+        let mut quarters = [0; 4];
+        for (mut varied, plain) in varied.into_iter().zip(plain) {
+            let decade = varied.materials.stiffness.log10();
+            assert!((2.0..=6.0).contains(&decade), "{decade}");
+            quarters[((decade - 2.0) as usize).min(3)] += 1;
+            varied.materials.stiffness = plain.materials.stiffness;
+            assert_eq!(varied, plain);
+        }
+        // Each has 50 of 200 with a standard deviation of 6.
+        assert!(quarters.iter().all(|count| (25..=75).contains(count)), "{quarters:?}");
+    }
+
+    #[test]
+    fn a_range_of_stiffness_is_positive_and_increases() {
+        for range in [[0.0, 1.0], [-1.0, 1.0], [2.0, 2.0], [2.0, 1.0], [1.0, 2e9], [f32::NAN, 1.0]]
+        {
+            let error = Extent::usual(Preset::Kinds).with_stiffness(range).unwrap_err();
+            assert!(error.to_string().starts_with("stiffness: found "), "{error}");
         }
     }
 

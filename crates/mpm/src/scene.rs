@@ -24,7 +24,7 @@ const MAX_ATTRACTOR_FRAMES: u32 = 1000;
 const MIN_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
-const MAX_STIFFNESS: f64 = 1e9;
+pub(super) const MAX_STIFFNESS: f64 = 1e9;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
 /// and the bag's chunk.
 const PARTICLE_BYTES: f64 = 384.0;

@@ -15,7 +15,7 @@ use super::{
     Interrupt, TerminalProgress,
     output::{Output, OutputKind},
 };
-use crate::cli::{ComputeDevice, SceneArgs, SimulateArgs};
+use crate::cli::{ComputeDevice, SceneArgs, SimulateArgs, Stiffness};
 use eddy_evaluation::dataset::simulate::{
     Job, MOST_SCENES, SimulateError, SimulationRequest, Source,
 };
@@ -113,8 +113,12 @@ pub(super) fn request(
         Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         None => args.preset.clone(),
     };
-    let SceneArgs { stiffness, law, viscosity, substeps, duration, particle_order: order, .. } =
-        *args;
+    let SceneArgs { law, viscosity, substeps, duration, particle_order: order, .. } = *args;
+    let stiffness = match args.stiffness {
+        Some(Stiffness::One(stiffness)) => Some(stiffness),
+        // Part of the source.
+        Some(Stiffness::Between(_)) | None => None,
+    };
     Ok(SimulationRequest {
         source,
         name,

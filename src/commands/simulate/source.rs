@@ -7,9 +7,9 @@ use clap::{
     builder::{PossibleValue, PossibleValuesParser},
 };
 
-use crate::cli::SceneArgs;
+use crate::cli::{SceneArgs, Stiffness};
 use eddy_evaluation::dataset::simulate::Source;
-use eddy_mpm::{Extent, Preset, Scene};
+use eddy_mpm::{Extent, MpmError, Preset, Scene};
 use eddy_settings::{self as config, usage::Usage};
 
 /// Scene files within the program, by their names for `--preset`.
@@ -35,13 +35,25 @@ pub(crate) fn presets() -> PossibleValuesParser {
 
 /// The source that the arguments describe.
 pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
+    let range = match args.stiffness {
+        Some(Stiffness::Between(range)) => Some(range),
+        Some(Stiffness::One(_)) | None => None,
+    };
+    if let (Some(_), Some([low, high])) = (&args.scene, range) {
+        let expected = "a scene of a file has one stiffness";
+        return Err(Usage::new(format_args!("--stiffness: found {low}..{high}, {expected}")).into());
+    }
     if let Some(file) = &args.scene {
         return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
     }
     if let Ok(preset) = Preset::from_str(&args.preset, false) {
+        let usage = |error: MpmError| Usage::new(format_args!("--{error}"));
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
-        let extent = extent.transpose().map_err(|error| Usage::new(format_args!("--{error}")))?;
-        let extent = extent.unwrap_or(Extent::usual(preset));
+        let extent = extent.transpose().map_err(usage)?.unwrap_or(Extent::usual(preset));
+        let extent = match range {
+            Some(range) => extent.with_stiffness(range).map_err(usage)?,
+            None => extent,
+        };
         return Ok(Source::Random(if args.same_bodies {
             extent.with_same_bodies()
         } else {
@@ -52,6 +64,13 @@ pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
         return Err(Usage::new(format_args!(
             "--same-bodies: preset {} is a single scene",
             args.preset
+        ))
+        .into());
+    }
+    if let Some([low, high]) = range {
+        let preset = &args.preset;
+        return Err(Usage::new(format_args!(
+            "--stiffness: found {low}..{high}, preset {preset} is a single scene"
         ))
         .into());
     }

@@ -39,6 +39,9 @@ pub struct SimulateJob {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     same_bodies: bool,
+    /// Range of the stiffness of random scenes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stiffness: Option<[f32; 2]>,
     /// Overrides of the scenes' own settings.
     settings: Settings,
     /// Whether pressure and energy of every particle are recorded.
@@ -63,6 +66,7 @@ impl SimulateJob {
             seed: request.seed,
             particles: extent.map(Extent::particles),
             same_bodies: extent.is_some_and(Extent::same_bodies),
+            stiffness: extent.and_then(Extent::stiffness),
             settings: request.settings,
             fields: request.fields,
             device,
@@ -85,6 +89,10 @@ impl SimulateJob {
                         Extent::of(preset, particles)?
                     }
                     _ => Extent::usual(preset),
+                };
+                let extent = match self.stiffness {
+                    Some(range) => extent.with_stiffness(range)?,
+                    None => extent,
                 };
                 let same = self.same_bodies;
                 Source::Random(if same { extent.with_same_bodies() } else { extent })

@@ -39,6 +39,9 @@ pub(super) struct RecordedRequest {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) same_bodies: bool,
+    /// The range of the random stiffness of scenes, unless all have the preset's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) stiffness: Option<[f32; 2]>,
     /// Overrides of the scenes' own settings.
     pub(super) settings: Settings,
     /// Whether pressure and energy of every particle are recorded.

@@ -97,6 +97,7 @@ impl SimulationRequest {
             seed: self.seed,
             particles: self.source.unusual_particles(),
             same_bodies: self.source.same_bodies(),
+            stiffness: self.source.stiffness(),
             settings: self.settings,
             fields: self.fields,
             device: self.device.map(Into::into),

@@ -28,6 +28,14 @@ impl Source {
         matches!(self, Self::Random(extent) if extent.same_bodies())
     }
 
+    /// The range of the stiffness of random scenes.
+    pub(super) fn stiffness(&self) -> Option<[f32; 2]> {
+        match self {
+            Self::Random(extent) => extent.stiffness(),
+            Self::Written(_) => None,
+        }
+    }
+
     /// Scene `index` of the request; a scene from a file keeps its own id.
     pub(super) fn scene(&self, seed: u64, index: u64) -> Scene {
         match self {
