@@ -175,7 +175,7 @@ fn checkpoints() {
     let sizes = Sizes { encoder: 1, hidden: 1, layers: 1, particles: None };
     let mut description = Description::untrained(Architecture::Particle, Core::MinGru, sizes);
     // With channels of a useful number it would be too large to be changed to some effect.
-    description.grid.as_mut().unwrap().channels = [1; 3];
+    description.grid.as_mut().unwrap().channels = vec![1; 3];
     untrained("particle", description);
 }
 

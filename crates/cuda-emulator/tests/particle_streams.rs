@@ -29,14 +29,15 @@ const TOLERANCE: f32 = 1e-5;
 
 /// Descriptions of all kinds of particle models; compiling the kernels for one takes seconds.
 fn descriptions() -> impl Strategy<Value = Description> {
-    let widths = (1usize..40, 1usize..40, 1usize..3, 1usize..40, 1usize..40, 1usize..40);
+    let channels = proptest::collection::vec(1usize..40, GridOptions::LEVELS);
+    let widths = (1usize..40, 1usize..40, 1usize..3, channels);
     let choices = (select(&Core::ALL[..]), any::<[bool; 2]>());
     (choices, widths).prop_map(|((core, [log, normalize_gates]), widths)| {
-        let (encoder, hidden, layers, c0, c1, c2) = widths;
+        let (encoder, hidden, layers, channels) = widths;
         let sizes = Sizes { encoder, hidden, layers, particles: None };
         let mut description = description(Architecture::Particle, core, sizes);
         let grid = description.grid.as_mut().unwrap();
-        grid.channels = [c0, c1, c2];
+        grid.channels = channels;
         description.form = if log { Form::Log } else { Form::Plain };
         description.normalize_gates = normalize_gates;
         // Of a body of two random particles that nearly meet, the flight rule magnifies any difference.
@@ -236,7 +237,7 @@ fn networks_that_do_not_fit_are_named() {
     assert!(message.contains("network.hidden 5000"), "{message}");
     let sizes = Sizes { encoder: 16, hidden: 16, layers: 1, particles: None };
     let mut wide = Description::untrained(Architecture::Particle, Core::Gru, sizes);
-    wide.grid = Some(GridOptions { channels: [8, 4000, 8], ..wide.grid.unwrap() });
+    wide.grid.as_mut().unwrap().channels = vec![8, 4000, 8];
     let message = Constants::of(&wide).unwrap_err().to_string();
     assert!(message.contains("[8, 4000, 8]"), "{message}");
 }

@@ -59,11 +59,16 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     let particle = particle.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;
     let learning = Core::ALL.map(|core| (core, 16, 24)).into_iter().chain([(Core::Lstm, 64, 128)]);
-    let learning = learning.map(|(core, encoder, hidden)| {
+    let learning =
+        learning.map(|(core, encoder, hidden)| (core, encoder, hidden, vec![32, 64, 64]));
+    let learning = learning.chain([(Core::MinGru, 16, 24, vec![24, 32, 48, 64])]);
+    let learning = learning.map(|(core, encoder, hidden, channels)| {
         let sizes = Sizes { encoder, hidden, layers: 1, particles: None };
-        let description = Description::untrained(Architecture::Particle, core, sizes);
+        let mut description = Description::untrained(Architecture::Particle, core, sizes);
+        let levels = channels.len();
+        description.grid.iter_mut().for_each(|grid| grid.channels = channels.clone());
         let constants = particle::TrainingConstants::of(&description)?;
-        let name = format!("training-{}-{hidden}", core.name());
+        let name = format!("training-{}-{hidden}-{levels}", core.name());
         Ok((name, Box::new(constants) as Box<dyn Program>))
     });
     let learning = learning.collect::<Result<Vec<_>, eddy_cuda::CudaError>>()?;

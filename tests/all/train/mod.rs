@@ -95,7 +95,7 @@ pub fn small(architecture: Architecture, core: Core) -> TrainConfig {
         config.unroll = vec![UnrollStage { share: 1.0, frames: 4 }];
         // So wide that walls are near everywhere: of a body in free flight, no drag is believed.
         config.network.cell_width = 0.5;
-        config.network.channels = [4, 4, 4];
+        config.network.channels = vec![4, 4, 4];
         // A few hundred steps are too few to average, and too few to learn from noise.
         config.optimizer.average = 0.0;
         config.windows.noise.share = 0.0;

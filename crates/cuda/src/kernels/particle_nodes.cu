@@ -4,15 +4,17 @@
 //
 // Constants beside those of common.cu (W4 is W rounded up to 4; lists of numbers are padded so):
 //   F, E, C0   input features, width of the encoder, channels of the finest level of the grid
+//   LEVELS     levels of the grid
 //   LAYERS     layers of the core
 //   CORE       0 MLP, 1 minGRU, 2 minLSTM, 3 GRU, 4 LSTM
 //   TILE       particles of a block
 //   NODES      nodes of a block
 #define ROUND4(n) (((n) + 3) / 4 * 4)
-#define LEVELS 3
+#define MAX_LEVELS 4
+#define MAX_LISTS (1 + 2 * MAX_LEVELS)
 #define MISSING 0xffffffffu
 #define NODE_FEATURES 5 // mass, and proximity to four walls
-#define ORIGIN 8        // index of node 0 in the maps of level 0
+#define ORIGIN (1 << LEVELS) // index of node 0 in the maps of level 0
 
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {
@@ -44,12 +46,12 @@ struct Stream {
   Body* predicted;
   // Zero between two steps.
   u32* counts;                   // particles of each cell
-  u32* marks[LEVELS];            // whether there is a node
+  u32* marks[MAX_LEVELS];        // whether there is a node
   u64* fill;                     // [area nodes, 2] area of all particles and of liquid
   // Scratch memory.
   u32* starts;                   // [cells + 1] first slot of each cell
-  u32* maps[LEVELS];             // number of each node
-  u32* lists[LEVELS];            // entry of each node
+  u32* maps[MAX_LEVELS];         // number of each node
+  u32* lists[MAX_LEVELS];        // entry of each node
   u32* totals;                   // [LEVELS + 1] nodes, bodies
   u32* chunks;                   // [1 + LEVELS, chunks] sums of the maps' parts
   Body* bodies;                  // [n]
@@ -60,7 +62,7 @@ struct Stream {
   float* weights;                // [n, 6] weights of the particle in a slot on three columns and three rows of nodes
   float* features;               // [n, F4]
   float* encoded;                // [n, C04]
-  float* fields[7];              // as in `engine/grid.rs` of eddy-inference
+  float* fields[MAX_LISTS];      // `grid_lists` of eddy-inference
   Body* next;                    // [n]
   // Scratch memory of the rules; nowhere where a rule is off.
   float* excess;                 // [area nodes, 2] with 1 / neighbours

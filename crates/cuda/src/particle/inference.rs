@@ -12,7 +12,7 @@
 //! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
 //! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
-//! | 11 layers | a few nodes | a list | another list |
+//! | layers on nodes | a few nodes | a list | another list |
 //! | decode | a tile of slots | list 2, features, states | states, predictions |
 //! | rules | particles, nodes, cells | particles, links, the grid | predictions |
 //! | store | 256 particles | predictions | memory of the host |
@@ -25,12 +25,13 @@ use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint::{self, Description, Weights},
     engine::{Ballistic, StreamStart, scales},
+    kernels::nodes::MAX_LEVELS,
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
     layout::{Constants, Layout, NODE_THREADS},
-    stream::{LEVELS, Memory, RULES, Row, Scales, Size},
+    stream::{Memory, RULES, Row, Scales, Size},
 };
 use crate::{
     device::{Argument, Buffer, Device, HostBuffer, Queue, Shape},
@@ -71,7 +72,7 @@ struct Extent {
     /// Particles of the largest stream, rounded up.
     particles: usize,
     /// Nodes of the largest stream by level, rounded up.
-    nodes: [usize; LEVELS],
+    nodes: [usize; MAX_LEVELS],
     /// Cells and their parts, nodes of the area rule's grid, of the largest stream, rounded up.
     cells: usize,
     chunks: usize,
@@ -127,16 +128,18 @@ impl Inference {
         tensors: &BTreeMap<String, Weights>,
     ) -> Result<Self> {
         let constants = Constants::of(description)?;
-        let (layout, weights) = Layout::new(description, &constants, tensors);
-        let width = description.grid.map_or(1.0, |grid| grid.cell_width);
+        let (layout, weights) = Layout::new(&constants, tensors);
+        let grid = description.grid.as_ref();
+        let width = grid.map_or(1.0, |grid| grid.cell_width);
         let (slowest, fastest) = scales::velocity_limits(&description.normalization);
         let inference = Self {
             scales: Scales {
+                levels: constants.levels(),
                 width,
                 unit: scales::velocity_unit(&description.normalization),
                 speeds: [slowest, fastest],
                 rules: description.rules,
-                spacing: description.grid.map_or(1.0, |grid| grid.spacing),
+                spacing: grid.map_or(1.0, |grid| grid.spacing),
             },
             ballistic: Ballistic::new(description),
             domain: description.domain,
@@ -293,7 +296,7 @@ impl Inference {
             |shared| Shape { shared, ..Shape::new(blocks(particles, tile), streams, TILE_THREADS) };
         self.launch(Kernel::ParticleLoad, by_particle, &[self.host_rows.address().into(), rows])?;
         let scan = Shape {
-            grid: [blocks(chunks, 1), 1 + LEVELS, streams],
+            grid: [blocks(chunks, 1), 1 + self.constants.levels(), streams],
             ..Shape::new(1, 1, SCAN_THREADS)
         };
         if chunks > 1 {
@@ -413,13 +416,9 @@ impl Streams {
     ///
     /// # Panics
     /// With tensors of another network.
-    pub fn set_weights(
-        &self,
-        description: &Description,
-        tensors: &BTreeMap<String, Weights>,
-    ) -> Result<()> {
+    pub fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
         self.alone(|inference| {
-            let (_, weights) = Layout::new(description, &inference.constants, tensors);
+            let (_, weights) = Layout::new(&inference.constants, tensors);
             inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))
         })
     }

@@ -12,9 +12,12 @@
 
 use std::collections::BTreeMap;
 
-use eddy_inference::checkpoint::{
-    Activation, Core, Description, Form, Weights,
-    layout::{self, NODE_FEATURES, PARTICLE_FEATURES},
+use eddy_inference::{
+    checkpoint::{
+        Activation, Core, Description, Form, Weights,
+        layout::{self, GridLayer, PARTICLE_FEATURES, Stencil},
+    },
+    kernels::nodes::MAX_LEVELS,
 };
 
 use crate::{
@@ -32,31 +35,8 @@ pub(super) const MOST_PARTS: usize = 8;
 /// capability 8.0 on (bytes).
 pub(super) const SHARED: [usize; 2] = [72 << 10, 150 << 10];
 
-/// Lists of features at nodes, as in the engine; the level of each.
-pub(super) const FIELD_LEVELS: [usize; 7] = [0, 0, 0, 1, 1, 2, 2];
-
-/// What a layer on nodes reads: the 3 x 3 around a node, its children, or its parent and a list that is added.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stencil {
-    Neighbours,
-    Children,
-    Parent(usize),
-}
-
-/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
-const GRID_LAYERS: [(Stencil, usize, usize); 11] = [
-    (Stencil::Neighbours, 0, 1),
-    (Stencil::Neighbours, 1, 2),
-    (Stencil::Children, 2, 3),
-    (Stencil::Neighbours, 3, 4),
-    (Stencil::Children, 4, 5),
-    (Stencil::Neighbours, 5, 6),
-    (Stencil::Neighbours, 6, 5),
-    (Stencil::Parent(4), 5, 3),
-    (Stencil::Neighbours, 3, 4),
-    (Stencil::Parent(2), 4, 1),
-    (Stencil::Neighbours, 1, 2),
-];
+/// The most lists of features at nodes ([`layout::grid_lists`]), `MAX_LISTS` of the kernels.
+pub(super) const MAX_LISTS: usize = 1 + 2 * MAX_LEVELS;
 
 /// What the kernels are compiled for: the widths and choices of a particle model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,8 +47,12 @@ pub struct Constants {
     pub hidden: usize,
     /// Layers of the core.
     pub layers: usize,
-    /// C0, C1, C2.
-    pub channels: [usize; 3],
+    /// Channels of the grid's levels.
+    pub channels: Vec<usize>,
+    /// The layers on the grid.
+    pub(super) grid: Vec<GridLayer>,
+    /// Level and padded width of the lists of features at nodes.
+    pub(super) lists: Vec<(usize, usize)>,
     /// The recurrent core.
     pub core: Core,
     /// Of the MLP core.
@@ -106,7 +90,7 @@ impl Constants {
     /// [`CudaError::Unsupported`] for the frame model and for layers that are too wide.
     pub fn of(description: &Description) -> Result<Self> {
         let unsupported = |setting: String, expected| CudaError::Unsupported { setting, expected };
-        let Some(grid) = description.grid else {
+        let Some(grid) = &description.grid else {
             return Err(unsupported("architecture frame".to_owned(), "architecture particle"));
         };
         let sizes = &description.sizes;
@@ -114,7 +98,12 @@ impl Constants {
             encoder: sizes.encoder,
             hidden: sizes.hidden,
             layers: sizes.layers,
-            channels: grid.channels,
+            channels: grid.channels.clone(),
+            grid: layout::grid_layers(grid),
+            lists: layout::grid_lists(grid)
+                .into_iter()
+                .map(|(level, width)| (level, four(width)))
+                .collect(),
             core: description.core,
             activation: description.frame.activation,
             form: description.form,
@@ -131,7 +120,7 @@ impl Constants {
                 format!("network.encoder {} with network.hidden {}", sizes.encoder, sizes.hidden);
             return Err(unsupported(setting, "at most about 1500 for each on a GPU"));
         };
-        let widest = constants.field_widths().into_iter().max().unwrap_or_default();
+        let widest = constants.widest_list();
         let Some(nodes) = fitting(&[16, 8, ROWS], |nodes| 4 * nodes * odd(9 * widest)) else {
             let setting = format!("surroundings.channels {:?}", grid.channels);
             return Err(unsupported(setting, "at most 1000 each on a GPU"));
@@ -183,10 +172,14 @@ impl Constants {
         }
     }
 
-    /// Padded widths of the lists of features at nodes.
-    pub(super) fn field_widths(&self) -> [usize; 7] {
-        let [c0, c1, c2] = self.channels;
-        [c0 + NODE_FEATURES, c0, c0, c1, c1, c2, c2].map(four)
+    /// Levels of the grid.
+    pub(super) fn levels(&self) -> usize {
+        self.channels.len()
+    }
+
+    /// Padded width of the widest list of features at nodes.
+    pub(super) fn widest_list(&self) -> usize {
+        self.lists.iter().map(|&(_, width)| width).max().unwrap_or_default()
     }
 }
 
@@ -210,6 +203,7 @@ impl Program for Constants {
             ("F", PARTICLE_FEATURES),
             ("E", self.encoder),
             ("C0", self.channels[0]),
+            ("LEVELS", self.levels()),
             ("H", self.hidden),
             ("LAYERS", self.layers),
             ("CORE", core),
@@ -227,7 +221,7 @@ impl Program for Constants {
 
 /// A layer on the nodes: `struct Layer` of the kernels and what its launch needs.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct GridLayer {
+pub(super) struct NodeLayer {
     /// Gathered rows, level of the blocks' nodes, lists read, written and added, padded widths of rows read and written,
     /// whether ReLU follows.
     pub(super) numbers: [i32; 8],
@@ -246,7 +240,7 @@ pub(super) struct GridLayer {
 pub struct Layout {
     /// First numbers of `encoder.0`, `encoder.1`, and of `context` with all that follow it.
     pub(super) encoder: [usize; 2],
-    pub(super) grid: Vec<GridLayer>,
+    pub(super) grid: Vec<NodeLayer>,
     pub(super) context: usize,
     /// Numbers in all of them.
     pub(super) size: usize,
@@ -286,11 +280,7 @@ impl Matrix<'_> {
 
 impl Layout {
     /// The places, and all matrices one behind the other, from the tensors of a checkpoint.
-    pub fn new(
-        description: &Description,
-        constants: &Constants,
-        tensors: &BTreeMap<String, Weights>,
-    ) -> (Self, Vec<f32>) {
+    pub fn new(constants: &Constants, tensors: &BTreeMap<String, Weights>) -> (Self, Vec<f32>) {
         let mut all = Vec::new();
         let named = |[weight, bias]: [String; 2]| (&tensors[&weight], &tensors[&bias]);
         let add = |all: &mut Vec<f32>,
@@ -309,28 +299,30 @@ impl Layout {
             add(&mut all, named(layout::names("encoder.0")), features, &plain, 1),
             add(&mut all, named(layout::names("encoder.1")), four(encoder), &plain, 1),
         ];
-        let widths = constants.field_widths();
-        let grid =
-            description.grid.iter().flat_map(layout::grid_layers).zip(GRID_LAYERS).enumerate();
+        let layers = &constants.grid;
+        let grid = layers.iter().enumerate();
         let grid = grid
-            .map(|(number, ((name, inputs, ..), (stencil, from, to)))| {
-                let (places, children, level, skip) = match stencil {
-                    Stencil::Neighbours => (9, 1, FIELD_LEVELS[to], 0),
-                    Stencil::Children => (4, 1, FIELD_LEVELS[to], 0),
-                    Stencil::Parent(skip) => (1, 4, FIELD_LEVELS[from], skip),
+            .map(|(number, layer)| {
+                let GridLayer { name, stencil, channels: [group, _], lists: [from, to], .. } =
+                    layer;
+                let (places, children) = (stencil.places(), stencil.children());
+                let skip = match stencil {
+                    Stencil::Neighbours | Stencil::Children => 0,
+                    Stencil::Parent { skip } => layers[*skip].lists[1],
                 };
-                let rows = places * widths[from];
-                let group = inputs / places;
-                let row = |input: usize| input / group * widths[from] + input % group;
+                let [inner, outputs] = [from, to].map(|list| constants.lists[*list].1);
+                let rows = places * inner;
+                let row = |input: usize| input / group * inner + input % group;
                 let first = add(&mut all, named(layout::names(name)), rows, &row, children);
-                let columns = children * widths[to];
+                let columns = children * outputs;
                 let items = constants.nodes / ROWS * columns / 4;
                 let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
                 let gathered = constants.nodes * odd(rows);
                 let sums = (parts - 1) * constants.nodes * columns;
-                let rectified = i32::from(number + 1 < GRID_LAYERS.len());
-                GridLayer {
-                    numbers: [places, level, from, to, skip, widths[from], widths[to]]
+                let rectified = i32::from(number + 1 < layers.len());
+                let level = layer.node_level();
+                NodeLayer {
+                    numbers: [places, level, *from, *to, skip, inner, outputs]
                         .map(|number| number as i32)
                         .into_iter()
                         .chain([rectified])

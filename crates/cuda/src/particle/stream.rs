@@ -11,9 +11,10 @@ use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint,
     engine::{Ballistic, StreamStart},
+    kernels::nodes::MAX_LEVELS,
 };
 
-use super::layout::{Constants, FIELD_LEVELS};
+use super::layout::{Constants, MAX_LISTS};
 use crate::{
     device::{Address, Buffer, Device, Queue},
     error::Result,
@@ -21,10 +22,6 @@ use crate::{
     streams::StreamMemory,
 };
 
-/// Levels of the grid.
-pub(super) const LEVELS: usize = 3;
-/// Index of node 0 in the maps of level 0, `ORIGIN` of the kernels.
-const ORIGIN: usize = 8;
 /// Numbers of `struct Rules` of the kernels.
 pub(super) const RULES: usize = 16;
 /// Numbers that parts of a memory begin at multiples of.
@@ -51,11 +48,11 @@ pub(super) struct Row {
     observed: u64,
     predicted: u64,
     counts: u64,
-    marks: [u64; LEVELS],
+    marks: [u64; MAX_LEVELS],
     fill: u64,
     starts: u64,
-    maps: [u64; LEVELS],
-    lists: [u64; LEVELS],
+    maps: [u64; MAX_LEVELS],
+    lists: [u64; MAX_LEVELS],
     totals: u64,
     chunks: u64,
     bodies: u64,
@@ -66,7 +63,7 @@ pub(super) struct Row {
     weights: u64,
     features: u64,
     encoded: u64,
-    fields: [u64; FIELD_LEVELS.len()],
+    fields: [u64; MAX_LISTS],
     next: u64,
     excess: u64,
     pressure: u64,
@@ -93,7 +90,7 @@ pub(super) struct Row {
     unused: u32,
 }
 
-// SAFETY: integers and numbers without padding between them: 47 of 8 bytes, then 32 of 4.
+// SAFETY: integers and numbers without padding between them: 52 of 8 bytes, then 32 of 4.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for Row {}
@@ -101,6 +98,8 @@ unsafe impl bytemuck::Pod for Row {}
 /// What does not change in a network's streams.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scales {
+    /// Levels of the grid.
+    pub(super) levels: usize,
     /// Width of a cell (domain lengths).
     pub(super) width: f32,
     /// Unit of velocities (domain lengths per second).
@@ -158,6 +157,8 @@ impl Scales {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Size {
     pub(super) particles: usize,
+    /// Levels of the grid.
+    levels: usize,
     /// Columns and rows of the map of level 0.
     pub(super) extent: [usize; 2],
     /// Columns and rows of nodes of the area rule's grid; none where the rule is off.
@@ -171,12 +172,12 @@ impl Size {
     /// Of a stream in a domain.
     pub(super) fn new(particles: usize, domain: &Domain, scales: &Scales) -> Self {
         let cells = cells_across(domain, scales.width);
-        let extent = map_extent(cells);
+        let extent = map_extent(cells, scales.levels);
         let area = scales.area_width().map_or([0; 2], |width| {
             cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
         });
         let (shapes, bodies) = (scales.rules.shape.is_some(), scales.finds_bodies());
-        Self { particles, extent, area, shapes, bodies }
+        Self { particles, levels: scales.levels, extent, area, shapes, bodies }
     }
 
     /// Parts of the map of level 0 that the running sums are made of.
@@ -213,7 +214,9 @@ impl Size {
     fn place_zeros(&self, from: Address, row: &mut Row) -> usize {
         let mut places = Places { from, length: 0 };
         row.counts = places.next(self.entries(0));
-        row.marks = std::array::from_fn(|level| places.next(self.entries(level)));
+        for (level, marks) in row.marks[..self.levels].iter_mut().enumerate() {
+            *marks = places.next(self.entries(level));
+        }
         row.fill = places.next(4 * self.area_nodes());
         places.length
     }
@@ -228,10 +231,14 @@ impl Size {
         let mut places = Places { from, length: 0 };
         let n = self.particles;
         row.starts = places.next(self.entries(0) + 1);
-        row.maps = std::array::from_fn(|level| places.next(self.entries(level)));
-        row.lists = std::array::from_fn(|level| places.next(self.nodes(level)));
-        row.totals = places.next(LEVELS + 1);
-        row.chunks = places.next((1 + LEVELS) * self.chunks());
+        for (level, map) in row.maps[..self.levels].iter_mut().enumerate() {
+            *map = places.next(self.entries(level));
+        }
+        for (level, list) in row.lists[..self.levels].iter_mut().enumerate() {
+            *list = places.next(self.nodes(level));
+        }
+        row.totals = places.next(self.levels + 1);
+        row.chunks = places.next((1 + self.levels) * self.chunks());
         row.bodies = places.next(BODY * n);
         for list in [&mut row.cells, &mut row.arrivals, &mut row.unsorted, &mut row.order] {
             *list = places.next(n);
@@ -239,10 +246,9 @@ impl Size {
         row.weights = places.next(6 * n);
         row.features = places.next(constants.feature_columns() * n);
         row.encoded = places.next(constants.encoded_columns() * n);
-        let widths = constants.field_widths();
-        row.fields = std::array::from_fn(|field| {
-            places.next(widths[field] * self.nodes(FIELD_LEVELS[field]))
-        });
+        for (field, &(level, width)) in row.fields.iter_mut().zip(&constants.lists) {
+            *field = places.next(width * self.nodes(level));
+        }
         row.next = places.next(BODY * n);
         row.excess = places.next(2 * self.area_nodes());
         row.pressure = places.next(self.area_nodes());
@@ -263,9 +269,11 @@ impl Size {
 }
 
 /// Columns and rows of the map of level 0 of a domain of this size (cells), as in `kernels/nodes/window.rs` of eddy-inference:
-/// the last node has a neighbour at each level.
-pub(super) fn map_extent(cells: [f32; 2]) -> [usize; 2] {
-    cells.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4)
+/// the last node has a neighbour at each of so many levels.
+pub(super) fn map_extent(cells: [f32; 2], levels: usize) -> [usize; 2] {
+    // `ORIGIN` of the kernels: index of node 0; a cell of the coarsest level.
+    let (origin, coarsest) = (1 << levels, 1 << (levels - 1));
+    cells.map(|cells| ((cells.ceil() as usize + 1 + origin) / coarsest + 2) * coarsest)
 }
 
 /// The size of a domain (cells).

@@ -76,10 +76,10 @@ impl Training {
     ) -> Result<Self> {
         check(settings)?;
         let constants = TrainingConstants::of(description)?;
-        let layout = Layout::new(description, &constants);
+        let layout = Layout::new(&constants);
         let tables = Tables::new(&device, settings, true)?;
         let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
-        let turns = layout.turns();
+        let turns = layout.turns(&constants.network.grid);
         let training = Self {
             optimizer: Optimizer::new(&device, &layout.packing, settings)?,
             turned: device.allocate(4 * layout.packing.size)?,

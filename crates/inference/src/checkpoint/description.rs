@@ -123,7 +123,7 @@ impl Description {
             frame: FrameOptions::default(),
             grid: (architecture == Architecture::Particle).then_some(GridOptions {
                 cell_width: 1.0 / 32.0,
-                channels: [32, 64, 64],
+                channels: vec![32, 64, 64],
                 spacing: 1.0 / 128.0,
             }),
             rules: Rules::standard(architecture),
@@ -222,11 +222,12 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             require(grid.is_some(), "surroundings", &"nothing", expected)?;
         }
     }
-    if let Some(GridOptions { cell_width, channels, spacing }) = *grid {
-        positive("surroundings.cell_width", cell_width)?;
-        positive("surroundings.spacing", spacing)?;
-        let valid = channels.iter().all(|width| (1..=1 << 12).contains(width));
-        require(valid, "surroundings.channels", &format!("{channels:?}"), "1 to 4096 each")?;
+    if let Some(GridOptions { cell_width, channels, spacing }) = grid {
+        positive("surroundings.cell_width", *cell_width)?;
+        positive("surroundings.spacing", *spacing)?;
+        let valid = GridOptions::are_channels(channels);
+        let (name, found) = ("surroundings.channels", format!("{channels:?}"));
+        require(valid, name, &found, GridOptions::CHANNELS)?;
     }
     rules::check(file, &description.rules)?;
     let corners = format!("{:?}, {:?}", domain.lower, domain.upper);

@@ -1,6 +1,10 @@
 //! The network of a checkpoint: architecture, core, options and sizes.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
+
+use crate::kernels::nodes::{MAX_LEVELS, MIN_LEVELS};
 
 /// The architecture of a network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -201,16 +205,30 @@ impl FrameOptions {
 }
 
 /// The sparse grid that connects the particle model's particles with their surroundings: particles are summed on its nodes,
-/// three levels of convolutions follow, and particles gather the result. Its table in `model.toml` is `[surroundings]`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// two to four levels of convolutions follow, and particles gather the result. Its table in `model.toml` is `[surroundings]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GridOptions {
-    /// Cell width of the finest level (domain lengths); the coarser levels have cells two and four times as wide.
+    /// Cell width of the finest level (domain lengths); each coarser level has cells twice as wide.
     pub cell_width: f32,
-    /// Channels of each level, finest first.
-    pub channels: [usize; 3],
+    /// Channels of each level, finest first; two to four levels.
+    pub channels: Vec<usize>,
     /// Distance between neighbouring particles at rest (domain lengths).
     pub spacing: f32,
+}
+
+impl GridOptions {
+    /// Numbers of levels that a grid can have.
+    pub const LEVELS: RangeInclusive<usize> = MIN_LEVELS..=MAX_LEVELS;
+
+    /// What is expected of channels.
+    pub const CHANNELS: &str = "two to four numbers, 1 to 4096 each";
+
+    /// Whether channels are those of a grid.
+    pub fn are_channels(channels: &[usize]) -> bool {
+        Self::LEVELS.contains(&channels.len())
+            && channels.iter().all(|width| (1..=1 << 12).contains(width))
+    }
 }
 
 /// Sizes of a network's layers.

@@ -18,7 +18,7 @@ fn checkpoint() -> Checkpoint {
         data: "0123".to_owned(),
         sizes: Sizes { encoder: 3, hidden: 2, layers: 1, particles: None },
         frame: FrameOptions::default(),
-        grid: Some(GridOptions { cell_width: 0.25, channels: [2, 3, 2], spacing: 0.1 }),
+        grid: Some(GridOptions { cell_width: 0.25, channels: vec![2, 3, 2], spacing: 0.1 }),
         rules: Rules::STANDARD,
         domain: Domain::UNIT,
         normalization: Normalization {

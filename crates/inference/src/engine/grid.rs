@@ -15,11 +15,14 @@ use super::{
     scatter::Segments,
 };
 use crate::{
-    checkpoint::{GridOptions, Weights, layout},
+    checkpoint::{
+        GridOptions, Weights,
+        layout::{self, GridLayer, READ, Stencil, WRITTEN},
+    },
     kernels::{
         activation::Exponentials,
         math::relu,
-        nodes::{Level, MISSING, Nodes, Row, range},
+        nodes::{MAX_LEVELS, MISSING, Nodes, Row, range},
     },
 };
 use eddy_frames::Domain;
@@ -28,53 +31,28 @@ use eddy_threads::DisjointSlice;
 /// Nodes per block: a multiple of the rows that are computed at once.
 const BLOCK: usize = 24;
 
-/// Lists of features at nodes.
-const FIELDS: usize = 7;
-/// The list that particles are summed in: averages, mass, and proximity to the four walls.
-const WRITTEN: usize = 0;
-/// The list that particles gather from.
-pub(super) const READ: usize = 2;
+/// The most lists of features at nodes ([`layout::grid_lists`]).
+const MAX_FIELDS: usize = 1 + 2 * MAX_LEVELS;
 
-/// The level of each list.
-const LEVEL: [usize; FIELDS] = [0, 0, 0, 1, 1, 2, 2];
-
-/// The inputs of a layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stencil {
-    /// The 3 x 3 around a node.
-    Neighbours,
-    /// A node's children.
-    Children,
-    /// A node's parent; the output is added to this list (skip connection).
-    Parent(usize),
+/// A packed layer.
+#[derive(Debug)]
+struct Layer {
+    plan: GridLayer,
+    /// The list that is added, of a layer that reads parents.
+    skip: usize,
+    /// One matrix, or one per child.
+    linears: Vec<Linear>,
 }
-
-/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
-const LAYERS: [(Stencil, usize, usize); 11] = [
-    (Stencil::Neighbours, WRITTEN, 1),
-    (Stencil::Neighbours, 1, 2),
-    (Stencil::Children, 2, 3),
-    (Stencil::Neighbours, 3, 4),
-    (Stencil::Children, 4, 5),
-    (Stencil::Neighbours, 5, 6),
-    (Stencil::Neighbours, 6, 5),
-    (Stencil::Parent(4), 5, 3),
-    (Stencil::Neighbours, 3, 4),
-    (Stencil::Parent(2), 4, 1),
-    (Stencil::Neighbours, 1, READ),
-];
-
-/// Stages of the layers.
-pub(super) const STAGES: usize = LAYERS.len();
 
 /// The packed layers.
 #[derive(Debug)]
 pub(super) struct Grid {
-    /// One matrix per layer, or one per child.
-    layers: Vec<Vec<Linear>>,
-    /// Length of the rows of each list, padded to whole panels of the layer that writes it.
-    strides: [usize; FIELDS],
+    layers: Vec<Layer>,
+    /// Level of each list, and length of its rows, padded to whole panels of the layer that writes it.
+    lists: Vec<(usize, usize)>,
     pub(super) cell_width: f32,
+    /// Number of levels.
+    pub(super) levels: usize,
     /// C0.
     channels: usize,
 }
@@ -84,13 +62,13 @@ pub(super) struct Grid {
 pub(super) struct Scratch {
     pub(super) nodes: Nodes,
     /// The lists, `[nodes + 1, its stride]`; the last row is zero.
-    pub(super) fields: [Vec<f32>; FIELDS],
+    pub(super) fields: [Vec<f32>; MAX_FIELDS],
     /// Proximity to the left and right wall of each column of nodes from [`FIRST_COLUMN`] on.
     pub(super) columns: Vec<[f32; 2]>,
 }
 
 /// The lists of [`Scratch`], shared between threads.
-pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; FIELDS];
+pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_FIELDS];
 
 impl Grid {
     pub(super) fn pack(
@@ -98,15 +76,14 @@ impl Grid {
         grid: &GridOptions,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
-        let [c0, c1, c2] = grid.channels;
-        let pack = |(layer, ..): (&str, usize, usize, usize), stencil| {
-            let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
-            match stencil {
+        let linears = |layer: &GridLayer| {
+            let [weight, bias] = layout::names(&layer.name).map(|name| &tensors[&name]);
+            match layer.stencil {
                 Stencil::Neighbours | Stencil::Children => {
                     vec![Linear::pack(lanes, weight, bias, 0, 1)]
                 }
                 // All children share the bias.
-                Stencil::Parent(_) => {
+                Stencil::Parent { .. } => {
                     let [outputs, inputs] = [bias.values.len(), weight.shape[1]];
                     let children = weight.values.chunks_exact(outputs * inputs);
                     let child = |values: &[f32]| Weights {
@@ -117,30 +94,48 @@ impl Grid {
                 }
             }
         };
-        let layers = layout::grid_layers(grid).into_iter().zip(LAYERS);
-        let widths = [c0 + layout::NODE_FEATURES, c0, c0, c1, c1, c2, c2];
+        let layers = layout::grid_layers(grid);
+        let pack = |layer: &GridLayer| {
+            let skip = match layer.stencil {
+                Stencil::Neighbours | Stencil::Children => WRITTEN,
+                Stencil::Parent { skip } => layers[skip].lists[1],
+            };
+            Layer { plan: layer.clone(), skip, linears: linears(layer) }
+        };
+        let lists = layout::grid_lists(grid).into_iter();
         Self {
-            layers: layers.map(|(layer, (stencil, ..))| pack(layer, stencil)).collect(),
-            strides: widths.map(|width| width.next_multiple_of(lanes)),
+            layers: layers.iter().map(pack).collect(),
+            lists: lists.map(|(level, width)| (level, width.next_multiple_of(lanes))).collect(),
             cell_width: grid.cell_width,
-            channels: c0,
+            levels: grid.channels.len(),
+            channels: grid.channels[0],
         }
+    }
+
+    /// Number of layers.
+    pub(super) fn len(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// Length of the rows of a list.
+    fn stride(&self, list: usize) -> usize {
+        self.lists[list].1
     }
 
     /// Length of the rows that particles are summed in.
     pub(super) fn written_width(&self) -> usize {
-        self.strides[WRITTEN]
+        self.stride(WRITTEN)
     }
 
     /// Length of the rows that particles gather.
     pub(super) fn read_width(&self) -> usize {
-        self.strides[READ]
+        self.stride(READ)
     }
 
     /// Resizes the lists to the nodes, and reserves as much as the nodes can grow without allocating.
     pub(super) fn resize(&self, scratch: &mut Scratch) {
-        for (list, numbers) in scratch.fields.iter_mut().enumerate() {
-            let (level, width) = (scratch.nodes.level(LEVEL[list]), self.strides[list]);
+        for (numbers, &(level, width)) in scratch.fields.iter_mut().zip(&self.lists) {
+            let level = scratch.nodes.level(level);
             let length = level.len() * width;
             numbers.truncate(length);
             numbers.reserve((level.capacity() + 1) * width - numbers.len());
@@ -151,12 +146,7 @@ impl Grid {
 
     /// Number of items of a layer's stage.
     pub(super) fn items(&self, layer: usize, nodes: &Nodes) -> usize {
-        let (stencil, _, to) = LAYERS[layer];
-        let rows = match stencil {
-            Stencil::Neighbours | Stencil::Children => nodes.level(LEVEL[to]),
-            Stencil::Parent(_) => nodes.level(LEVEL[to] + 1),
-        };
-        rows.len().div_ceil(BLOCK)
+        nodes.level(self.layers[layer].plan.node_level()).len().div_ceil(BLOCK)
     }
 
     /// Computes the inputs of a row of nodes from the segments' sums.
@@ -170,7 +160,7 @@ impl Grid {
         walls: &Walls,
         fields: &Fields,
     ) {
-        let (channels, width) = (self.channels, self.strides[WRITTEN]);
+        let (channels, width) = (self.channels, self.stride(WRITTEN));
         let own = range(row.nodes);
         // SAFETY: only this item uses these nodes.
         let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
@@ -202,37 +192,35 @@ impl Grid {
     pub(super) fn layer<S: Simd>(
         &self,
         simd: S,
-        layer: usize,
+        number: usize,
         item: usize,
         nodes: &Nodes,
         fields: &Fields,
     ) {
-        let (stencil, from, to) = LAYERS[layer];
-        let (width, level) = (self.strides[to], nodes.level(LEVEL[to]));
+        let Layer { plan, skip, linears } = &self.layers[number];
+        let [from, to] = plan.lists;
+        let (width, level) = (self.stride(to), nodes.level(plan.node_level()));
         // SAFETY: this stage does not write to this list.
         let numbers = unsafe { fields[from].read(0..fields[from].len()) };
-        let rows = Rows { numbers, width: self.strides[from] };
-        let zero = nodes.level(LEVEL[from]).len();
-        let block = |level: &Level| item * BLOCK..((item + 1) * BLOCK).min(level.len());
-        match stencil {
+        let (source_level, source_width) = self.lists[from];
+        let rows = Rows { numbers, width: source_width };
+        let zero = nodes.level(source_level).len();
+        let own = item * BLOCK..((item + 1) * BLOCK).min(level.len());
+        match plan.stencil {
             Stencil::Neighbours => {
-                let own = block(level);
                 let source = Gathered { table: &level.neighbours[own.clone()], rows, zero };
-                self.gather(simd, layer, own, &source, &fields[to]);
+                self.gather(simd, number, own, &source, &fields[to]);
             }
             Stencil::Children => {
-                let own = block(level);
                 let source = Gathered { table: &level.children[own.clone()], rows, zero };
-                self.gather(simd, layer, own, &source, &fields[to]);
+                self.gather(simd, number, own, &source, &fields[to]);
             }
-            Stencil::Parent(skip) => {
-                let parents = nodes.level(LEVEL[to] + 1);
-                let own = block(parents);
+            Stencil::Parent { .. } => {
                 let numbers = &numbers[own.start * rows.width..own.end * rows.width];
-                let children = &parents.children[own.clone()];
-                for (child, linear) in self.layers[layer].iter().enumerate() {
+                let children = &level.children[own.clone()];
+                for (child, linear) in linears.iter().enumerate() {
                     let mut sink =
-                        Children { children, child, skip: fields[skip], to: fields[to], width };
+                        Children { children, child, skip: fields[*skip], to: fields[to], width };
                     let source = Rows { numbers, width: rows.width };
                     apply(simd, linear, own.len(), &source, &mut sink);
                 }
@@ -245,17 +233,18 @@ impl Grid {
     fn gather<S: Simd>(
         &self,
         simd: S,
-        layer: usize,
+        number: usize,
         nodes: Range<usize>,
         source: &impl Source,
         field: &DisjointSlice<'_, f32>,
     ) {
-        let width = self.strides[LAYERS[layer].2];
+        let Layer { plan, linears, .. } = &self.layers[number];
+        let width = self.stride(plan.lists[1]);
         // SAFETY: only this item uses these nodes.
         let numbers = unsafe { field.part(nodes.start * width..nodes.end * width) };
         // Only the last layer has no ReLU.
-        let mut sink = Output { numbers, width, rectify: layer + 1 < STAGES };
-        apply(simd, &self.layers[layer][0], nodes.len(), source, &mut sink);
+        let mut sink = Output { numbers, width, rectify: number + 1 < self.len() };
+        apply(simd, &linears[0], nodes.len(), source, &mut sink);
     }
 }
 

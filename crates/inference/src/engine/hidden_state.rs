@@ -50,7 +50,7 @@ impl HiddenState {
         let particles = frame.len();
         let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
         let (mut order, mut rest) = (Vec::new(), RestShape::default());
-        if let Some(GridOptions { cell_width, spacing, .. }) = description.grid {
+        if let Some(&GridOptions { cell_width, spacing, .. }) = description.grid.as_ref() {
             order = spatial_order(frame, cell_width);
             // Built before reordering: the choice among equally distant neighbours must not depend on the order.
             rest = RestShape::new(&frame.position, &frame.material, 1, spacing).permuted(&order);

@@ -6,13 +6,12 @@ use pulp::Simd;
 use super::{
     Ballistic,
     core::CoreLayer,
-    grid::READ,
     linear::store,
     particle_features::{FEATURES, Motion, ballistic_motion},
     particle_model::{BLOCK, COLUMNS, LayerBuffers, ParticleModel, StepContext},
     products::{Columns, Concatenated, Output, Rows, apply},
 };
-use crate::kernels::transfer::gather;
+use crate::{checkpoint::layout::READ, kernels::transfer::gather};
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;

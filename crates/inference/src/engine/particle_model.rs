@@ -99,12 +99,12 @@ impl ParticleModel {
         let (slowest, fastest) = velocity_limits(&description.normalization);
         let grid = description.grid.as_ref();
         let grid = grid.expect("checked descriptions of particle models have one");
+        let grid = Grid::pack(lanes, grid, tensors);
         let rules = RuleSet::new(description);
         Self {
             arch,
             features: Features::new(description),
             encoder: [linear("encoder.0"), with_one(lanes, tensors, "encoder.1")],
-            grid: Grid::pack(lanes, grid, tensors),
             context: linear("context"),
             core: (0..description.sizes.layers)
                 .map(|layer| CoreLayer::pack(lanes, description, tensors, layer))
@@ -114,7 +114,8 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
-            stages: stages(&rules),
+            stages: stages(&grid, &rules),
+            grid,
             rules,
         }
     }
@@ -164,7 +165,8 @@ impl ParticleModel {
         let particles = hidden_state.order.len();
         let window = Window { particles: 0..particles, lower, upper };
         reorder(pool, alone, &hidden_state.order, frame.particles, &mut scratch.state);
-        scratch.grid.nodes.rebuild(&scratch.state[0], &[window], self.grid.cell_width);
+        let Grid { cell_width, levels, .. } = self.grid;
+        scratch.grid.nodes.rebuild(&scratch.state[0], &[window], cell_width, levels);
         self.resize(scratch, particles);
 
         let Scratch {
@@ -267,8 +269,8 @@ pub(super) enum Stage {
 }
 
 /// The stages of a frame, in order: those of the network, then those of the rules.
-fn stages(rules: &RuleSet) -> Vec<Stage> {
-    let layers = (0..grid::STAGES).map(Stage::Layer);
+fn stages(grid: &Grid, rules: &RuleSet) -> Vec<Stage> {
+    let layers = (0..grid.len()).map(Stage::Layer);
     let network = [Stage::Encode, Stage::Write].into_iter().chain(layers).chain([Stage::Decode]);
     network.chain(rules.stages().into_iter().map(Stage::Rule)).collect()
 }

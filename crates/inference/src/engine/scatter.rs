@@ -271,7 +271,7 @@ mod tests {
             let position: Vec<_> = position.iter().map(|x| x.map(|x| scale * x)).collect();
             let window = Window { particles: 0..position.len(), lower: [0.0; 2], upper: [1.0, 0.5] };
             let mut nodes = Nodes::default();
-            nodes.rebuild(&position, &[window], 0.05);
+            nodes.rebuild(&position, &[window], 0.05, 3);
             let number = |n: usize| (n % 37) as f32 * 0.05 - 0.7;
             let rows: Vec<_> = (0..position.len() * stride).map(number).collect();
             let found = Arch::new().dispatch(Sum(&nodes, block, &rows, stride));

@@ -175,10 +175,10 @@ impl Surrogate {
         if (frame.dt - dt).abs() > INTERVAL_TOLERANCE * dt {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
-        match self.description.grid {
+        match &self.description.grid {
             None => same_domain(&frame.domain, domain)?,
             Some(GridOptions { cell_width, .. }) => {
-                fits_domain(&frame.domain, &self.description, cell_width, particles.len())?;
+                fits_domain(&frame.domain, &self.description, *cell_width, particles.len())?;
             }
         }
         in_range(&frame, &self.description)
@@ -200,7 +200,8 @@ impl Surrogate {
         match &*self.network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-                let rest = self.description.grid.map_or_else(RestShape::default, |grid| {
+                let grid = self.description.grid.as_ref();
+                let rest = grid.map_or_else(RestShape::default, |grid| {
                     RestShape::new(&frame.position, &frame.material, 1, grid.spacing)
                 });
                 let domain = frame.domain;

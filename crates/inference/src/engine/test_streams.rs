@@ -24,7 +24,7 @@ pub(super) fn description(architecture: Architecture, core: Core, sizes: Sizes) 
         },
         grid: (architecture == Architecture::Particle).then_some(GridOptions {
             cell_width: 1.0 / 32.0,
-            channels: [16, 24, 20],
+            channels: vec![16, 24, 20],
             spacing: 0.02,
         }),
         ..Description::untrained(architecture, core, sizes)

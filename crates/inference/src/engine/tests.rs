@@ -280,7 +280,7 @@ fn a_body_in_free_flight_keeps_its_momentum_and_its_spin() {
 fn rules_in_the_engine_equal_a_corrector_after_it() {
     for (checkpoint, frames) in wide(Core::MinGru) {
         let corrector = Corrector::new(&checkpoint.description);
-        let spacing = checkpoint.description.grid.map_or(0.0, |s| s.spacing);
+        let spacing = checkpoint.description.grid.as_ref().map_or(0.0, |s| s.spacing);
         let rest = RestShape::new(&frames[0].position, &frames[0].material, 1, spacing);
         let expected = predict(&Surrogate::load(&checkpoint, threads(2)).unwrap(), &frames);
         let alone = Surrogate::load(&without_rules(checkpoint), threads(2)).unwrap();

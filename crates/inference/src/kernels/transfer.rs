@@ -344,7 +344,7 @@ mod tests {
     fn grid(position: &[[f32; 2]], cut: usize) -> Nodes {
         let window = |particles| Window { particles, lower: [0.0; 2], upper: [1.0, 1.2] };
         let mut nodes = Nodes::default();
-        nodes.rebuild(position, &[window(0..cut), window(cut..position.len())], WIDTH);
+        nodes.rebuild(position, &[window(0..cut), window(cut..position.len())], WIDTH, 3);
         nodes
     }
 

@@ -23,7 +23,8 @@ pub(super) fn body_for(description: &Description, particles: usize) -> Frame {
     let mut frame = frame_for(description, particles);
     let Domain { lower, upper } = frame.domain;
     let side = (particles as f64).sqrt().ceil() as usize;
-    let spacing = description.grid.map_or(SPACING, |grid| grid.spacing).min(0.8 / side as f32);
+    let spacing =
+        description.grid.as_ref().map_or(SPACING, |grid| grid.spacing).min(0.8 / side as f32);
     let place = |n: usize, axis: usize| {
         lower[axis] + (upper[axis] - lower[axis]) * (0.1 + spacing * n as f32)
     };

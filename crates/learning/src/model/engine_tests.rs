@@ -58,7 +58,8 @@ fn frame_options() -> impl Strategy<Value = FrameOptions> {
 
 /// Cells from small to so large that a few contain all particles.
 fn grid() -> impl Strategy<Value = GridOptions> {
-    ((0.03f32..0.5), [1usize..40, 1usize..40, 1usize..40], 0.01f32..0.2)
+    let channels = proptest::collection::vec(1usize..40, GridOptions::LEVELS);
+    ((0.03f32..0.5), channels, 0.01f32..0.2)
         .prop_map(|(cell_width, channels, spacing)| GridOptions { cell_width, channels, spacing })
 }
 

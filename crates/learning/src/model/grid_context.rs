@@ -46,7 +46,7 @@ impl GridContext {
             })
             .collect();
         let mut nodes = Nodes::default();
-        nodes.rebuild(position, &windows, cell_width);
+        nodes.rebuild(position, &windows, cell_width, grid.channels.len());
         let at = nodes.level(0).at.iter();
         let walls = at.map(|&at| wall_proximity(at, cell_width, domain.lower, ballistic)).collect();
         Self { nodes: Arc::new(nodes), walls: Arc::new(walls), origin: domain.lower }

@@ -38,9 +38,10 @@ impl Layers {
         let linear = |names: [String; 2]| Linear::from_weights(&names, tensors, device);
         Self {
             encoder: ["encoder.0", "encoder.1"].map(|layer| linear(layout::names(layer))),
-            grid: description.grid.as_ref().map(|grid| GridLayers {
-                grid: layout::grid_layers(grid).map(|(layer, ..)| linear(layout::names(layer))),
-                context: linear(layout::names("context")),
+            grid: description.grid.as_ref().map(|grid| {
+                let plan = layout::grid_layers(grid);
+                let grid = plan.iter().map(|layer| linear(layout::names(&layer.name))).collect();
+                GridLayers { plan, grid, context: linear(layout::names("context")) }
             }),
             core: (0..description.sizes.layers)
                 .map(|layer| {
@@ -99,8 +100,10 @@ impl Layers {
 
     /// All linear layers, in the order of [`layout::linear_layers`].
     pub(crate) fn linears(&self) -> Vec<&Linear> {
-        let grid =
-            self.grid.iter().flat_map(|GridLayers { grid, context }| grid.iter().chain([context]));
+        let grid = self
+            .grid
+            .iter()
+            .flat_map(|GridLayers { grid, context, .. }| grid.iter().chain([context]));
         let core = self.core.iter().flat_map(RecurrentLayer::parts);
         let ends = [&self.mixer, &self.decoder];
         self.encoder.iter().chain(grid).chain(core).chain(ends).collect()
@@ -108,7 +111,8 @@ impl Layers {
 
     fn linears_mut(&mut self) -> Vec<&mut Linear> {
         let grid = self.grid.iter_mut();
-        let grid = grid.flat_map(|GridLayers { grid, context }| grid.iter_mut().chain([context]));
+        let grid =
+            grid.flat_map(|GridLayers { grid, context, .. }| grid.iter_mut().chain([context]));
         let core = self.core.iter_mut().flat_map(RecurrentLayer::parts_mut);
         let ends = [&mut self.mixer, &mut self.decoder];
         self.encoder.iter_mut().chain(grid).chain(core).chain(ends).collect()

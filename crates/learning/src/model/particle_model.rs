@@ -42,7 +42,7 @@ impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
         let (slowest, fastest) = velocity_limits(scale);
-        let grid = description.grid;
+        let grid = description.grid.clone();
         Self {
             layers,
             grid: grid.expect("checked descriptions of particle models have one"),

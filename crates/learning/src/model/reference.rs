@@ -42,8 +42,8 @@ impl Reference {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
         let corrector = Corrector::new(&checkpoint.description);
-        let Description { grid, dt, .. } = checkpoint.description;
-        Ok(Self { network, corrector, device, grid, dt })
+        let Description { ref grid, dt, .. } = checkpoint.description;
+        Ok(Self { network, corrector, device, grid: grid.clone(), dt })
     }
 
     /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed to

@@ -30,7 +30,7 @@ const DT: f32 = 0.016;
 fn description(architecture: Architecture, core: Core) -> Description {
     let particles = (architecture == Architecture::Frame).then_some(PARTICLES);
     // A spacing so large that all particles are neighbours.
-    let grid = GridOptions { cell_width: 0.2, channels: [3, 4, 5], spacing: 0.3 };
+    let grid = GridOptions { cell_width: 0.2, channels: vec![3, 4, 5], spacing: 0.3 };
     Description {
         grid: particles.is_none().then_some(grid),
         materials: vec![Material::Liquid, Material::Jelly],

@@ -73,8 +73,8 @@ pub struct NetworkConfig {
     pub frame: FrameOptions,
     /// Particle model: cell width of the grid's finest level (domain lengths).
     pub cell_width: f32,
-    /// Particle model: channels of each level of the grid, finest first.
-    pub channels: [usize; 3],
+    /// Particle model: channels of each level of the grid, finest first; two to four levels.
+    pub channels: Vec<usize>,
 }
 
 /// Writes options that a checkpoint omits too: a settings file is read over the defaults, which are others.
@@ -226,7 +226,7 @@ impl NetworkConfig {
             normalize_gates: true,
             frame: FrameOptions::default(),
             cell_width: 1.0 / 32.0,
-            channels: [24, 32, 48],
+            channels: vec![24, 32, 48],
         }
     }
 }
@@ -420,10 +420,10 @@ impl TrainConfig {
 
     /// The particle model's grid for particles with this spacing (domain lengths).
     pub fn grid(&self, spacing: f32) -> Option<GridOptions> {
-        let NetworkConfig { cell_width, channels, .. } = self.network;
-        (self.architecture == Architecture::Particle).then_some(GridOptions {
-            cell_width,
-            channels,
+        let NetworkConfig { cell_width, channels, .. } = &self.network;
+        (self.architecture == Architecture::Particle).then(|| GridOptions {
+            cell_width: *cell_width,
+            channels: channels.clone(),
             spacing,
         })
     }
@@ -463,7 +463,8 @@ impl TrainConfig {
     }
 
     fn check_network(&self) -> Result<(), TrainError> {
-        let NetworkConfig { encoder, hidden, layers, dropout, form, channels, .. } = self.network;
+        let NetworkConfig { encoder, hidden, layers, dropout, form, ref channels, .. } =
+            self.network;
         let widths =
             [("network.encoder", encoder), ("network.hidden", hidden), ("network.layers", layers)];
         for (field, width) in widths {
@@ -472,8 +473,8 @@ impl TrainConfig {
         }
         below_one("network.dropout", dropout)?;
         positive("network.cell_width", self.network.cell_width)?;
-        let valid = channels.iter().all(|channels| (1..=4096).contains(channels));
-        require("network.channels", format!("{channels:?}"), valid, "1 to 4096 each")?;
+        let valid = GridOptions::are_channels(channels);
+        require("network.channels", format!("{channels:?}"), valid, GridOptions::CHANNELS)?;
         let (frame, default) = (self.network.frame, FrameOptions::default());
         let valid = self.architecture == Architecture::Frame || frame == default;
         require("network.frame", format!("{frame:?}"), valid, "nothing for the particle model")?;

@@ -92,7 +92,7 @@ pub(super) fn config(core: Core) -> TrainConfig {
     config.network.hidden = 9;
     config.network.layers = 2;
     config.network.cell_width = 0.1;
-    config.network.channels = [6, 7, 5];
+    config.network.channels = vec![6, 7, 5];
     config.windows.batch = 3;
     config.windows.warm_up = 3;
     config.windows.noise = NoiseConfig { position: 0.002, velocity: 0.1, share: 0.5 };
@@ -259,11 +259,21 @@ fn other_forms_and_losses_of_the_particle_model_take_the_steps_of_the_cpu() {
     }
 }
 
+#[test]
+fn grids_of_two_and_four_levels_take_the_steps_of_the_cpu() {
+    for channels in [vec![6, 7], vec![6, 7, 5, 9]] {
+        let mut config = config(Core::MinGru);
+        config.network.cell_width = 0.04;
+        config.network.channels = channels;
+        compare(&config, &streams());
+    }
+}
+
 /// More particles than a block adds up at a time, and matrices that several blocks share.
 #[test]
 fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
     let mut config = config(Core::MinGru);
-    config.network.channels = [6, 20, 24];
+    config.network.channels = vec![6, 20, 24];
     config.windows.batch = 2;
     compare(&config, &streams_of([[9, 8], [8, 9]]));
 }

@@ -16,7 +16,8 @@
 #define STENCIL_ROWS (STENCIL / 3)
 #define CHILDREN (1 << DIM)
 // Lists of features at nodes: what particles sum up, then the outputs of the layers.
-#define FIELDS 12
+#define FIELDS (4 * LEVELS)
+#define MAX_FIELDS (4 * MAX_LEVELS)
 #define OUT4 ROUND4(2 * DIM)
 
 // What all kernels of a step share.
@@ -40,8 +41,8 @@ struct Plan {
   u32* starts;               // [T, B, cells + 1] first slot of each cell
   u32* order;                // particle of each slot: by cells, then by number
   float* weights;            // weights of the particle in a slot, 3 for each axis
-  u32* maps[LEVELS];         // number of each node
-  u32* lists[LEVELS];        // entry of each node
+  u32* maps[MAX_LEVELS];     // number of each node
+  u32* lists[MAX_LEVELS];    // entry of each node
   u32* totals;               // [T, B, LEVELS] nodes
   float* inputs;             // [.., CONCAT] features and gathered numbers
   float* hidden;             // [.., E4] of the encoder
@@ -52,13 +53,13 @@ struct Plan {
   float* cells;              // the same of LSTM
   float* mixed;              // [.., H4]
   float* output;             // [.., OUT4] of the decoder, later gradients by it
-  float* fields[FIELDS];
+  float* fields[MAX_FIELDS];
   // Gradients of each frame, by the sums before the activations.
   float* by_hidden;
   float* by_encoded;
   float* by_context;
   float* by_mixed;
-  float* slopes[FIELDS];
+  float* slopes[MAX_FIELDS];
   // Of the frames that are computed together.
   u32* cell_counts;          // [.., cells]
   u32* cell_of;              // cell of each particle
@@ -77,8 +78,8 @@ struct Plan {
   int batch, warm_up, unroll, most;
   int weights_step;          // bodies of error weights from a step to the next one
   u32 across[DIM];           // of the map of level 0
-  u32 entries[LEVELS];
-  u32 nodes[LEVELS];         // most nodes
+  u32 entries[MAX_LEVELS];
+  u32 nodes[MAX_LEVELS];     // most nodes
   float lower[DIM], extent[DIM]; // the domain's lower corner, its size (cells)
   float width;               // of a cell
   float wall_lower[DIM], wall_upper[DIM], fall[DIM], dt;

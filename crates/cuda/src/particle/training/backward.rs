@@ -2,8 +2,7 @@
 
 use super::{
     Training,
-    forward::{NODE_SUM_THREADS, NodeLayer},
-    layout::{FIELD_LEVELS, NODE_LAYERS, Stencil},
+    forward::{NODE_SUM_THREADS, NodeLayer, stencil_number},
     plan::PARTICLE_THREADS,
 };
 use crate::{
@@ -12,6 +11,7 @@ use crate::{
     kernels::Kernel,
     training::Matrix,
 };
+use eddy_inference::checkpoint::layout::Stencil;
 
 /// Blocks that turn a matrix.
 const TURNING: usize = 16;
@@ -40,7 +40,7 @@ impl Training {
         let (sheet, sheets) = (first * batch, frames * batch);
         let predicted = first >= self.settings.warm_up;
         let (plan, most) = (self.plan(), self.store.most());
-        let [c0, ..] = self.constants.network.channels;
+        let c0 = self.constants.network.channels[0];
         let by_particle = Self::over(most, PARTICLE_THREADS, sheets);
         self.launch(Kernel::TrainOutputGradient, by_particle, &[plan, sheet.into()])?;
         self.launch(
@@ -74,27 +74,29 @@ impl Training {
 
     /// The gradients by the lists that the layers on nodes read, the last layer first.
     fn node_layers_backward(&self, sheet: usize, sheets: usize) -> Result<()> {
-        let widths = self.constants.field_widths();
+        let widths = self.constants.fields();
         let super::plan::Plan { fields, slopes, .. } = &self.memory.plan;
-        for (matrix, (stencil, from, to)) in self.layout.grid.iter().zip(NODE_LAYERS).rev() {
+        let layers = &self.constants.network.grid;
+        for (from, (matrix, plan)) in self.layout.grid.iter().zip(layers).enumerate().rev() {
+            let to = from + 1;
             // The lists that a later layer adds have a gradient from there.
-            let later = NODE_LAYERS.iter().find(
-                |(stencil, ..)| matches!(stencil, Stencil::ToChildren { skip } if *skip == from),
+            let later = layers.iter().position(
+                |later| matches!(later.stencil, Stencil::Parent { skip } if skip + 1 == from),
             );
             // What went to the children comes from them, and the other way round.
-            let (back, level) = match stencil {
-                Stencil::Neighbours => (Stencil::Neighbours, FIELD_LEVELS[to]),
-                Stencil::FromChildren => (Stencil::ToChildren { skip: from }, FIELD_LEVELS[to]),
-                Stencil::ToChildren { .. } => (Stencil::FromChildren, FIELD_LEVELS[from]),
+            let back = match plan.stencil {
+                Stencil::Neighbours => Stencil::Neighbours,
+                Stencil::Children => Stencil::Parent { skip: from },
+                Stencil::Parent { .. } => Stencil::Children,
             };
             let layer = NodeLayer {
-                stencil: back.number(),
+                stencil: stencil_number(back),
                 weights: self.turned(matrix),
                 bias: Address::NULL,
                 lists: [slopes[to], slopes[from]],
-                widths: [widths[to], widths[from]],
-                level,
-                add: later.map_or(0, |&(.., to)| slopes[to]),
+                widths: [widths[to].1, widths[from].1],
+                level: plan.node_level(),
+                add: later.map_or(0, |layer| slopes[layer + 1]),
                 mask: if from == 0 { 0 } else { fields[from] },
                 rectified: false,
             };

@@ -1,10 +1,6 @@
 //! Frames through the network, and the loss.
 
-use super::{
-    Training,
-    layout::{FIELD_LEVELS, NODE_LAYERS, Stencil},
-    plan::PARTICLE_THREADS,
-};
+use super::{Training, plan::PARTICLE_THREADS};
 use crate::{
     device::{Address, Argument, Shape},
     error::Result,
@@ -12,6 +8,7 @@ use crate::{
     particle::layout::{MOST_PARTS, NODE_THREADS, ROWS, odd},
     training::{Matrix, Settings},
 };
+use eddy_inference::checkpoint::layout::Stencil;
 
 /// Threads of a block that lists cells, `CELL_THREADS` of the kernels.
 const CELL_THREADS: usize = 512;
@@ -35,14 +32,12 @@ pub(super) struct NodeLayer {
     pub(super) rectified: bool,
 }
 
-impl Stencil {
-    /// As the kernels count them.
-    pub(super) fn number(self) -> usize {
-        match self {
-            Self::Neighbours => 0,
-            Self::FromChildren => 1,
-            Self::ToChildren { .. } => 2,
-        }
+/// The number of a stencil in the kernels.
+pub(super) fn stencil_number(stencil: Stencil) -> usize {
+    match stencil {
+        Stencil::Neighbours => 0,
+        Stencil::Children => 1,
+        Stencil::Parent { .. } => 2,
     }
 }
 
@@ -80,7 +75,7 @@ impl Training {
         let batch = self.settings.batch;
         let (sheet, sheets) = (first * batch, frames * batch);
         let (plan, most) = (self.plan(), self.store.most());
-        let [c0, ..] = self.constants.network.channels;
+        let c0 = self.constants.network.channels[0];
         let cells = Shape::new(1, sheets, CELL_THREADS);
         self.launch(Kernel::TrainCells, cells, &[plan, sheet.into()])?;
         let [encoder, second] = &self.layout.encoder;
@@ -92,22 +87,24 @@ impl Training {
         let items = self.memory.nodes[0] * (c0.div_ceil(4) + 1);
         let shape = Self::over(items, NODE_SUM_THREADS, sheets);
         self.launch(Kernel::TrainToNodes, shape, &[plan, sheet.into()])?;
-        let (widths, fields) = (self.constants.field_widths(), &self.memory.plan.fields);
-        for (matrix, (stencil, from, to)) in self.layout.grid.iter().zip(NODE_LAYERS) {
-            let (level, add) = match stencil {
-                Stencil::ToChildren { skip } => (FIELD_LEVELS[from], fields[skip]),
-                _ => (FIELD_LEVELS[to], 0),
+        let (widths, fields) = (self.constants.fields(), &self.memory.plan.fields);
+        let layers = &self.constants.network.grid;
+        for (from, (matrix, plan)) in self.layout.grid.iter().zip(layers).enumerate() {
+            let to = from + 1;
+            let add = match plan.stencil {
+                Stencil::Neighbours | Stencil::Children => 0,
+                Stencil::Parent { skip } => fields[skip + 1],
             };
             let layer = NodeLayer {
-                stencil: stencil.number(),
+                stencil: stencil_number(plan.stencil),
                 weights: self.weight(matrix),
                 bias: self.weight(matrix).plus(matrix.bias * matrix.columns),
                 lists: [fields[from], fields[to]],
-                widths: [widths[from], widths[to]],
-                level,
+                widths: [widths[from].1, widths[to].1],
+                level: plan.node_level(),
                 add,
                 mask: 0,
-                rectified: to + 1 < fields.len(),
+                rectified: to < layers.len(),
             };
             self.layer(&layer, sheet, sheets)?;
         }

@@ -11,9 +11,12 @@
 //!
 //! Widths are rounded up to 4; the bias is the row behind them.
 
-use eddy_inference::checkpoint::{
-    Core, Description,
-    layout::{self, NODE_FEATURES, PARTICLE_FEATURES},
+use eddy_inference::{
+    checkpoint::{
+        Core, Description,
+        layout::{self, GridLayer, PARTICLE_FEATURES, Stencil},
+    },
+    kernels::nodes::MAX_LEVELS,
 };
 
 use crate::{
@@ -26,32 +29,8 @@ use crate::{
 /// Bytes of `struct Stencil` of the kernels.
 const STENCIL: usize = 4 * (4 * AXES + 3);
 
-/// What a layer on nodes reads: the 3 x 3 around a node, its children, or its parent and a list that is added.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stencil {
-    Neighbours,
-    FromChildren,
-    ToChildren { skip: usize },
-}
-
-/// Each layer's stencil, and the lists it reads and writes, in the order of [`layout::grid_layers`].
-pub(super) const NODE_LAYERS: [(Stencil, usize, usize); 11] = [
-    (Stencil::Neighbours, 0, 1),
-    (Stencil::Neighbours, 1, 2),
-    (Stencil::FromChildren, 2, 3),
-    (Stencil::Neighbours, 3, 4),
-    (Stencil::FromChildren, 4, 5),
-    (Stencil::Neighbours, 5, 6),
-    (Stencil::Neighbours, 6, 7),
-    (Stencil::ToChildren { skip: 4 }, 7, 8),
-    (Stencil::Neighbours, 8, 9),
-    (Stencil::ToChildren { skip: 2 }, 9, 10),
-    (Stencil::Neighbours, 10, 11),
-];
-/// Lists of features at nodes, `FIELDS` of the kernels.
-pub(super) const FIELDS: usize = 12;
-/// The level of each.
-pub(super) const FIELD_LEVELS: [usize; FIELDS] = [0, 0, 0, 1, 1, 2, 2, 2, 1, 1, 0, 0];
+/// The most lists of features at nodes, `MAX_FIELDS` of the kernels: what particles sum up, then the outputs of each layer.
+pub(super) const MAX_FIELDS: usize = 4 * MAX_LEVELS;
 
 /// What the kernels of a training, which also predict, are compiled for.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,7 +68,7 @@ impl TrainingConstants {
             let expected = "at most about 900 for each to train on a GPU";
             return Err(CudaError::Unsupported { setting, expected });
         };
-        let widest = network.field_widths().into_iter().max().unwrap_or_default();
+        let widest = network.widest_list();
         let bytes = |nodes| 4 * nodes * (odd(9 * widest) + odd(4 * widest));
         let Some(nodes) = fitting(&[16, 8, ROWS], bytes) else {
             let setting = format!("network.channels {:?}", network.channels);
@@ -99,10 +78,10 @@ impl TrainingConstants {
         Ok(Self { network, tile, nodes })
     }
 
-    /// Widths of the lists of features at nodes.
-    pub(super) fn field_widths(&self) -> [usize; FIELDS] {
-        let [c0, c1, c2] = self.network.channels;
-        [c0 + NODE_FEATURES, c0, c0, c1, c1, c2, c2, c2, c1, c1, c0, c0].map(four)
+    /// Level and padded width of the lists of features at nodes.
+    pub(super) fn fields(&self) -> Vec<(usize, usize)> {
+        let outputs = self.network.grid.iter().map(|layer| (layer.level, four(layer.channels[1])));
+        self.network.lists[..1].iter().copied().chain(outputs).collect()
     }
 
     /// E rounded up.
@@ -180,7 +159,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub(super) fn new(description: &Description, constants: &TrainingConstants) -> Self {
+    pub(super) fn new(constants: &TrainingConstants) -> Self {
         let mut builder = Builder::default();
         let mut matrix = |parts: Vec<Part>, inputs: Vec<usize>, inner: usize| {
             let stride = four(parts[0].outputs);
@@ -188,31 +167,27 @@ impl Layout {
         };
         let part = |names, gates, outputs| Part { names, gates, outputs, shares_bias: false };
         let one = |name: &str, outputs| vec![part(layout::names(name), 1, outputs)];
-        let Constants { encoder, hidden, channels, core, layers, .. } = constants.network;
+        let Constants { encoder, hidden, core, layers, .. } = constants.network;
+        let channels = &constants.network.channels;
         let rows = |inputs: usize| (0..inputs).collect::<Vec<_>>();
         let features = constants.network.feature_columns();
         let encoder_layers = [
             matrix(one("encoder.0", encoder), rows(PARTICLE_FEATURES), features),
             matrix(one("encoder.1", channels[0]), rows(encoder), four(encoder)),
         ];
-        let widths = constants.field_widths();
-        let grid = description.grid.iter().flat_map(layout::grid_layers).zip(NODE_LAYERS);
+        let grid = constants.network.grid.iter();
         let grid = grid
-            .map(|((name, inputs, outputs, sharing), (stencil, from, _))| {
-                let places = match stencil {
-                    Stencil::Neighbours => 9,
-                    Stencil::FromChildren => 4,
-                    Stencil::ToChildren { .. } => 1,
-                };
-                let group = inputs / places;
-                let row = |input: usize| input / group * widths[from] + input % group;
+            .map(|GridLayer { name, stencil, channels: [group, outputs], .. }| {
+                let (places, children, inner) =
+                    (stencil.places(), stencil.children(), four(*group));
+                let row = |input: usize| input / group * inner + input % group;
                 let part = Part {
                     names: layout::names(name),
-                    gates: sharing,
-                    outputs: outputs / sharing,
-                    shares_bias: sharing > 1,
+                    gates: children,
+                    outputs: *outputs,
+                    shares_bias: children > 1,
                 };
-                matrix(vec![part], (0..inputs).map(row).collect(), places * widths[from])
+                matrix(vec![part], (0..places * group).map(row).collect(), places * inner)
             })
             .collect();
         // The gathered numbers begin behind the padded features.
@@ -244,11 +219,13 @@ impl Layout {
     }
 
     /// `struct Turn` of the kernels for every matrix: first number, rows without the bias, columns, places around a node.
-    pub(super) fn turns(&self) -> Vec<[i32; 4]> {
+    pub(super) fn turns(&self, plan: &[GridLayer]) -> Vec<[i32; 4]> {
         let turn = |matrix: &Matrix| {
-            let grid = self.grid.iter().position(|one| one == matrix);
-            let around = grid.is_some_and(|layer| NODE_LAYERS[layer].0 == Stencil::Neighbours);
-            let places = if around { 9 } else { 1 };
+            let mut layers = self.grid.iter().zip(plan);
+            let places = match layers.find(|(one, _)| *one == matrix) {
+                Some((_, GridLayer { stencil: Stencil::Neighbours, .. })) => 9,
+                _ => 1,
+            };
             [matrix.first, matrix.bias, matrix.columns, places].map(|number| number as i32)
         };
         self.packing.matrices().iter().map(turn).collect()
@@ -273,13 +250,13 @@ mod tests {
             layers in 1..4usize,
             encoder in 1..20usize,
             hidden in 1..20usize,
-            channels in [1..10usize, 1..10usize, 1..10usize],
+            channels in prop::collection::vec(1..10usize, 2..=MAX_LEVELS),
         ) {
             let sizes = Sizes { encoder, hidden, layers, particles: None };
             let mut description = Description::untrained(Architecture::Particle, core, sizes);
             description.grid.as_mut().unwrap().channels = channels;
             let constants = TrainingConstants::of(&description).unwrap();
-            let Layout { packing, .. } = Layout::new(&description, &constants);
+            let Layout { packing, .. } = Layout::new(&constants);
             let weights = initial_weights(&description, 7);
             let packed = packing.pack(&weights);
             prop_assert_eq!(packing.unpack(&packed), weights.clone());

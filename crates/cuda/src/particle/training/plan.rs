@@ -7,17 +7,18 @@ use std::sync::Arc;
 use eddy_inference::{
     checkpoint::{Core, Description},
     engine::{Ballistic, scales},
+    kernels::nodes::MAX_LEVELS,
 };
 
 use super::{
-    layout::{FIELD_LEVELS, FIELDS, TrainingConstants},
+    layout::{MAX_FIELDS, TrainingConstants},
     store::Store,
 };
 use crate::{
     device::{Address, Buffer, Device},
     error::Result,
     kernels::AXES,
-    particle::stream::{LEVELS, cells_across, map_extent},
+    particle::stream::{cells_across, map_extent},
     training::{Settings, Tables},
 };
 
@@ -44,8 +45,8 @@ pub(super) struct Plan {
     starts: u64,
     order: u64,
     weights: u64,
-    maps: [u64; LEVELS],
-    lists: [u64; LEVELS],
+    maps: [u64; MAX_LEVELS],
+    lists: [u64; MAX_LEVELS],
     totals: u64,
     pub(super) inputs: u64,
     pub(super) hidden: u64,
@@ -56,12 +57,12 @@ pub(super) struct Plan {
     cells: u64,
     pub(super) mixed: u64,
     pub(super) output: u64,
-    pub(super) fields: [u64; FIELDS],
+    pub(super) fields: [u64; MAX_FIELDS],
     pub(super) by_hidden: u64,
     pub(super) by_encoded: u64,
     pub(super) by_context: u64,
     pub(super) by_mixed: u64,
-    pub(super) slopes: [u64; FIELDS],
+    pub(super) slopes: [u64; MAX_FIELDS],
     cell_counts: u64,
     cell_of: u64,
     arrivals: u64,
@@ -80,8 +81,8 @@ pub(super) struct Plan {
     most: u32,
     weights_step: u32,
     across: [u32; AXES],
-    entries: [u32; LEVELS],
-    nodes: [u32; LEVELS],
+    entries: [u32; MAX_LEVELS],
+    nodes: [u32; MAX_LEVELS],
     lower: [f32; AXES],
     extent: [f32; AXES],
     width: f32,
@@ -106,7 +107,7 @@ impl Plan {
     }
 }
 
-// SAFETY: integers and numbers without padding between them: 70 of 8 bytes, then 32 of 4.
+// SAFETY: integers and numbers without padding between them: 80 of 8 bytes, then 34 of 4.
 unsafe impl bytemuck::Zeroable for Plan {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for Plan {}
@@ -117,7 +118,7 @@ pub(super) struct Memory {
     /// `plan` where the kernels read it.
     pub(super) device_plan: Buffer,
     /// Most nodes of a window, by level.
-    pub(super) nodes: [usize; LEVELS],
+    pub(super) nodes: [usize; MAX_LEVELS],
     /// Gradients that go from a frame to the one before, zero after the last frame.
     pub(super) carried: Vec<Buffer>,
     _lists: Vec<Buffer>,
@@ -141,7 +142,7 @@ impl Lists<'_> {
 
 /// The most nodes of a level: each particle touches nine, and four of the coarser ones; and there is one at each corner of the
 /// domain's cells, and beyond.
-fn most_nodes(particles: usize, extent: [f32; AXES]) -> [usize; LEVELS] {
+fn most_nodes(particles: usize, extent: [f32; AXES]) -> [usize; MAX_LEVELS] {
     std::array::from_fn(|level| {
         let along = |cells: f32| ((cells.ceil() as usize + 1) >> level) + 2;
         let touched = if level == 0 { 9 } else { 4 };
@@ -163,10 +164,10 @@ impl Memory {
         let most = store.most();
         let frames = warm_up + unroll - 1;
         let (sheets, rows) = (frames * batch, frames * batch * most);
-        let width = description.grid.map_or(1.0, |grid| grid.cell_width);
+        let width = description.grid.as_ref().map_or(1.0, |grid| grid.cell_width);
         let extent = cells_across(&description.domain, width);
-        let across = map_extent(extent);
-        let entries: [usize; LEVELS] =
+        let across = map_extent(extent, network.levels());
+        let entries: [usize; MAX_LEVELS] =
             std::array::from_fn(|level| across.iter().map(|cells| cells >> level).product());
         let nodes = most_nodes(most, extent);
         let units = network.hidden_columns();
@@ -175,18 +176,14 @@ impl Memory {
         let is_lstm = network.core == Core::Lstm;
 
         let mut lists = Lists { device: &**device, kept: Vec::new() };
-        let field = |number: usize, lists: &mut Lists<'_>| {
-            let level = FIELD_LEVELS[number];
-            lists.next(sheets * nodes[level] * constants.field_widths()[number])
-        };
-        let mut fields = [0; FIELDS];
-        let mut slopes = [0; FIELDS];
-        for number in 0..FIELDS {
-            fields[number] = field(number, &mut lists)?;
-            slopes[number] = field(number, &mut lists)?;
+        let (mut fields, mut slopes) = ([0; MAX_FIELDS], [0; MAX_FIELDS]);
+        for (number, (level, width)) in constants.fields().into_iter().enumerate() {
+            for list in [&mut fields, &mut slopes] {
+                list[number] = lists.next(sheets * nodes[level] * width)?;
+            }
         }
-        let (mut maps, mut node_lists) = ([0; LEVELS], [0; LEVELS]);
-        for level in 0..LEVELS {
+        let (mut maps, mut node_lists) = ([0; MAX_LEVELS], [0; MAX_LEVELS]);
+        for level in 0..network.levels() {
             maps[level] = lists.next(sheets * entries[level])?;
             node_lists[level] = lists.next(sheets * nodes[level])?;
         }
@@ -222,7 +219,7 @@ impl Memory {
             weights: lists.next(rows * 3 * AXES)?,
             maps,
             lists: node_lists,
-            totals: lists.next(sheets * LEVELS)?,
+            totals: lists.next(sheets * network.levels())?,
             inputs: lists.next(rows * network.context_rows())?,
             hidden: lists.next(rows * constants.encoder_columns())?,
             encoded: lists.next(rows * network.encoded_columns())?,

@@ -2,8 +2,8 @@
 
 use super::{
     Training,
-    forward::{PLACES, TARGETS},
-    layout::{FIELD_LEVELS, Layout, MOST_SHARED, NODE_LAYERS, Stencil, TrainingConstants},
+    forward::{PLACES, TARGETS, stencil_number},
+    layout::{Layout, MOST_SHARED, TrainingConstants},
     plan::Plan,
 };
 use crate::{
@@ -161,15 +161,13 @@ fn rows<'a>(
         (encoder, features),
         (second, Rows::of_particles(hidden, (plan.by_encoded, network.encoded_columns()))),
     ];
-    let widths = constants.field_widths();
-    for (matrix, (stencil, from, to)) in layout.grid.iter().zip(NODE_LAYERS) {
-        let level = match stencil {
-            Stencil::ToChildren { .. } => FIELD_LEVELS[from],
-            _ => FIELD_LEVELS[to],
-        };
-        let lists =
-            Rows::of_particles((plan.fields[from], widths[from]), (plan.slopes[to], widths[to]));
-        all.push((matrix, Rows { nodes: Some((stencil.number(), level)), ..lists }));
+    let fields = constants.fields();
+    for (from, (matrix, layer)) in layout.grid.iter().zip(&network.grid).enumerate() {
+        let to = from + 1;
+        let read = (plan.fields[from], fields[from].1);
+        let lists = Rows::of_particles(read, (plan.slopes[to], fields[to].1));
+        let nodes = Some((stencil_number(layer.stencil), layer.node_level()));
+        all.push((matrix, Rows { nodes, ..lists }));
     }
     let by_context = (plan.by_context, units);
     all.push((&layout.context, Rows::of_particles((plan.inputs, inputs), by_context)));

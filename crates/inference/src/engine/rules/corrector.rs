@@ -4,7 +4,7 @@ use super::{super::Ballistic, Observed, Predicted, RuleSet, Stage};
 use crate::{
     checkpoint::{Description, GridOptions},
     kernels::{
-        nodes::{Nodes, Window},
+        nodes::{MIN_LEVELS, Nodes, Window},
         rest_shape::RestShape,
     },
 };
@@ -27,13 +27,13 @@ impl Corrector {
     /// The rules of the described network; a frame model has none.
     pub fn new(description: &Description) -> Self {
         let rules = RuleSet::new(description);
-        let cell_width = |grid: GridOptions| grid.cell_width;
+        let cell_width = |grid: &GridOptions| grid.cell_width;
         Self {
             stages: rules.stages(),
             rules,
             ballistic: Ballistic::new(description),
             domain: description.domain,
-            cell_width: description.grid.map_or(0.0, cell_width),
+            cell_width: description.grid.as_ref().map_or(0.0, cell_width),
         }
     }
 
@@ -51,7 +51,8 @@ impl Corrector {
         let Domain { lower, upper } = before.domain;
         let mut nodes = Nodes::default();
         let window = Window { particles: 0..particles, lower, upper };
-        nodes.rebuild(&before.position, &[window], self.cell_width);
+        // Rules need the finest level only.
+        nodes.rebuild(&before.position, &[window], self.cell_width, MIN_LEVELS);
         let order: Vec<u32> = (0..particles as u32).collect();
         let observed = Observed {
             position: &before.position,

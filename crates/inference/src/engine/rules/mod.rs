@@ -132,7 +132,7 @@ pub(super) struct Correction<'a> {
 impl RuleSet {
     /// The rules of the described network; none for a frame model.
     pub(super) fn new(description: &Description) -> Self {
-        let spacing = description.grid.map_or(0.0, |grid| grid.spacing);
+        let spacing = description.grid.as_ref().map_or(0.0, |grid| grid.spacing);
         Self { rules: description.rules, spacing }
     }
 

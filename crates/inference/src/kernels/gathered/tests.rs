@@ -13,7 +13,7 @@ fn grid(random: &mut ChaCha8Rng) -> Nodes {
     let cut = random.random_range(0..count);
     let window = |particles| Window { particles, lower: [0.0; 2], upper: [1.0; 2] };
     let mut nodes = Nodes::default();
-    nodes.rebuild(&position, &[window(0..cut), window(cut..count)], 0.07);
+    nodes.rebuild(&position, &[window(0..cut), window(cut..count)], 0.07, 3);
     nodes
 }
 
@@ -160,7 +160,7 @@ proptest! {
         let position: Vec<_> =
             (0..4000).map(|_| [(); 2].map(|()| random.random_range(0.0..1.0f32))).collect();
         let mut nodes = Nodes::default();
-        nodes.rebuild(&position, &[Window { particles: 0..4000, lower: [0.0; 2], upper: [1.0; 2] }], 0.02);
+        nodes.rebuild(&position, &[Window { particles: 0..4000, lower: [0.0; 2], upper: [1.0; 2] }], 0.02, 3);
         let level = nodes.level(0);
         let lengths = [level.len() * 5, 9 * 5 * 8, level.len() * 8];
         let [x, weight, above] = lengths.map(|length| numbers(&mut random, length));

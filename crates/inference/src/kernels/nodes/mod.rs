@@ -1,4 +1,4 @@
-//! The sparse grid of the nodes that particles touch, at three cell widths: the nodes, their neighbours, and the particles
+//! The sparse grid of the nodes that particles touch, at two to four cell widths: the nodes, their neighbours, and the particles
 //! in each cell.
 //!
 //! Node (a, b) of the finest level, 0, is at (a w, b w) from the domain's lower corner. Only nodes in the stencil of a
@@ -24,8 +24,10 @@ pub use window::weights;
 
 use window::Maps;
 
-/// Number of levels.
-pub const LEVELS: usize = 3;
+/// The fewest levels of a grid.
+pub const MIN_LEVELS: usize = 2;
+/// The most levels of a grid.
+pub const MAX_LEVELS: usize = 4;
 
 /// Marks a node that does not exist.
 pub const MISSING: u32 = u32::MAX;
@@ -50,8 +52,8 @@ pub struct WindowRanges {
     pub cells: Range<usize>,
     /// Its rows of nodes.
     pub rows: Range<usize>,
-    /// Its nodes at each level.
-    pub nodes: [Range<usize>; LEVELS],
+    /// Its nodes at each level; none at levels that the grid does not have.
+    pub nodes: [Range<usize>; MAX_LEVELS],
 }
 
 /// The particles with the same stencil.
@@ -126,7 +128,7 @@ struct Tables {
     weights: Vec<[[f32; 3]; 2]>,
     cells: Vec<Cell>,
     rows: Vec<Row>,
-    levels: [Level; LEVELS],
+    levels: [Level; MAX_LEVELS],
 }
 
 /// The grid of one or more windows. [`Nodes::rebuild`] takes memory and time proportional to the number of particles and to
@@ -143,16 +145,24 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// Builds the grid for the particles at `position` (domain lengths), with cells of the given width (domain lengths). The
-    /// windows cover consecutive rows from 0 on.
+    /// Builds the grid for the particles at `position` (domain lengths), with cells of the given width (domain lengths) at the
+    /// finest of so many levels. The windows cover consecutive rows from 0 on.
     ///
     /// A particle outside its domain is clamped to it, and NaN to its lower corner.
     ///
     /// # Panics
-    /// If the windows are not consecutive or contain more rows than there are.
-    pub fn rebuild(&mut self, position: &[[f32; 2]], windows: &[Window], width: f32) {
+    /// If the windows are not consecutive or contain more rows than there are, or with fewer than [`MIN_LEVELS`] or more than
+    /// [`MAX_LEVELS`] levels.
+    pub fn rebuild(
+        &mut self,
+        position: &[[f32; 2]],
+        windows: &[Window],
+        width: f32,
+        levels: usize,
+    ) {
         let consecutive =
             windows.windows(2).all(|pair| pair[0].particles.end == pair[1].particles.start);
+        assert!((MIN_LEVELS..=MAX_LEVELS).contains(&levels), "{levels} levels");
         assert!(consecutive && windows.first().is_none_or(|first| first.particles.start == 0));
         self.width = width;
         self.windows.clear();
@@ -161,7 +171,7 @@ impl Nodes {
             self.maps.resize_with(windows.len(), Maps::default);
         }
         if let [window] = windows {
-            self.maps[0].build(position, window, width, &mut self.tables);
+            self.maps[0].build(position, window, width, levels, &mut self.tables);
             let place = self.tables.ranges();
             self.windows.push(place);
             return;
@@ -172,7 +182,7 @@ impl Nodes {
         let scratch = self.maps.par_iter_mut().zip(&mut self.parts);
         scratch.zip(windows).for_each(|((maps, part), window)| {
             part.clear();
-            maps.build(position, window, width, part);
+            maps.build(position, window, width, levels, part);
         });
         for part in &self.parts[..windows.len()] {
             let place = self.tables.append(part);
@@ -251,7 +261,7 @@ impl Tables {
     fn append(&mut self, part: &Self) -> WindowRanges {
         let slot = self.order.len();
         let (cell, row) = (self.cells.len(), self.rows.len());
-        let node: [usize; LEVELS] = std::array::from_fn(|level| self.levels[level].len());
+        let node: [usize; MAX_LEVELS] = std::array::from_fn(|level| self.levels[level].len());
         let shift =
             |first: u32, by: usize| if first == MISSING { first } else { first + by as u32 };
 

@@ -24,17 +24,22 @@ fn base([x, y]: [f32; 2], window: &Window, width: f32) -> [i32; 2] {
 }
 
 /// Every node of a window at each level, from sets of cells.
-fn expected(position: &[[f32; 2]], window: &Window, width: f32) -> [Vec<[i32; 2]>; LEVELS] {
-    let mut levels = [(); LEVELS].map(|()| BTreeSet::new());
+fn expected(
+    position: &[[f32; 2]],
+    window: &Window,
+    width: f32,
+    count: usize,
+) -> Vec<Vec<[i32; 2]>> {
+    let mut levels = vec![BTreeSet::new(); count];
     for &x in &position[window.particles.clone()] {
         let [a, b] = base(x, window, width);
         levels[0].extend((0..9).map(|k| (b + k / 3, a + k % 3)));
     }
-    for level in 1..LEVELS {
+    for level in 1..count {
         levels[level] =
             levels[level - 1].iter().map(|&(b, a)| (b.div_euclid(2), a.div_euclid(2))).collect();
     }
-    levels.map(|nodes| nodes.into_iter().map(|(b, a)| [a, b]).collect())
+    levels.into_iter().map(|nodes| nodes.into_iter().map(|(b, a)| [a, b]).collect()).collect()
 }
 
 fn windows(rows: usize, cuts: [usize; 2]) -> Vec<Window> {
@@ -56,13 +61,14 @@ proptest! {
         second in positions(),
         cuts: [u8; 2],
         width in 0.03f32..0.2,
+        levels in [MIN_LEVELS..=MAX_LEVELS, MIN_LEVELS..=MAX_LEVELS],
     ) {
         let mut nodes = Nodes::default();
         // The second grid reuses the memory of the first.
         for (round, position) in [first, second].into_iter().enumerate() {
             let windows = windows(position.len(), cuts.map(|cut| usize::from(cut) % 61));
-            nodes.rebuild(&position, &windows, width * (round + 1) as f32);
-            check(&nodes, &position, &windows)?;
+            nodes.rebuild(&position, &windows, width * (round + 1) as f32, levels[round]);
+            check(&nodes, &position, &windows, levels[round])?;
         }
     }
 
@@ -71,23 +77,29 @@ proptest! {
         let window = |rows| Window { particles: rows, lower: [0.0; 2], upper: [2.0, 1.5] };
         let (mut alone, mut two) = (Nodes::default(), Nodes::default());
         let windows = [window(0..position.len()), window(position.len()..position.len())];
-        alone.rebuild(&position, &windows[..1], 0.1);
-        two.rebuild(&position, &windows, 0.1);
+        alone.rebuild(&position, &windows[..1], 0.1, 3);
+        two.rebuild(&position, &windows, 0.1, 3);
         prop_assert_eq!(&alone.tables, &two.tables);
         prop_assert_eq!(&alone.windows[0], &two.windows[0]);
     }
 }
 
-fn check(nodes: &Nodes, position: &[[f32; 2]], windows: &[Window]) -> Result<(), TestCaseError> {
+fn check(
+    nodes: &Nodes,
+    position: &[[f32; 2]],
+    windows: &[Window],
+    levels: usize,
+) -> Result<(), TestCaseError> {
     let width = nodes.width();
     let mut slots = 0;
     for (window, place) in windows.iter().zip(nodes.windows()) {
         prop_assert_eq!(&place.particles, &window.particles);
-        let expected = expected(position, window, width);
+        let expected = expected(position, window, width, levels);
         let row = |level: usize, at: [i32; 2]| {
             let found = expected[level].iter().position(|&other| other == at);
             found.map_or(MISSING, |n| (place.nodes[level].start + n) as u32)
         };
+        prop_assert!((levels..MAX_LEVELS).all(|level| nodes.level(level).is_empty()));
         for (number, at) in expected.iter().enumerate() {
             let (level, range) = (nodes.level(number), place.nodes[number].clone());
             prop_assert_eq!(&level.at[range.clone()], at.as_slice());
@@ -100,7 +112,7 @@ fn check(nodes: &Nodes, position: &[[f32; 2]], windows: &[Window]) -> Result<(),
                         (0..4).map(|k| row(number - 1, [2 * a + k % 2, 2 * b + k / 2])).collect();
                     prop_assert_eq!(level.children[node].as_slice(), below);
                 }
-                if number + 1 < LEVELS {
+                if number + 1 < levels {
                     let children = nodes.level(number + 1).children.as_flattened();
                     prop_assert_eq!(children[level.parent[node] as usize], node as u32);
                 }
@@ -154,7 +166,7 @@ fn check(nodes: &Nodes, position: &[[f32; 2]], windows: &[Window]) -> Result<(),
 fn weights_follow_the_particle() {
     let mut nodes = Nodes::default();
     let window = Window { particles: 0..1, lower: [-1.0, 2.0], upper: [1.0, 3.0] };
-    nodes.rebuild(&[[-0.33, 2.71]], &[window], 0.1);
+    nodes.rebuild(&[[-0.33, 2.71]], &[window], 0.1, 3);
     let [a, b] = nodes.level(0).at[nodes.cells()[0].nodes[0] as usize];
     let mean = nodes.weights()[0].map(|[_, middle, last]| middle + 2.0 * last);
     assert!((a as f32 + mean[0] - 6.7).abs() < 1e-5, "{a} {mean:?}");

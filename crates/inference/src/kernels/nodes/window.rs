@@ -2,23 +2,21 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::{Cell, LEVELS, Level, MISSING, Row, Tables, Window};
-
-/// Index of node 0 in the maps of level 0. A multiple of 4, so that a parent's index is half of its child's, and so large
-/// that no neighbour's index is negative at any level.
-const ORIGIN: usize = 8;
+use super::{Cell, Level, MAX_LEVELS, MISSING, Row, Tables, Window};
 
 /// Maps of one window, row-major.
 #[derive(Debug, Default)]
 pub(super) struct Maps {
+    /// Number of levels.
+    levels: usize,
     /// Number of particles of each cell; later the slot of its next particle.
     particles: Vec<u32>,
     /// Rows of each map.
-    down: [usize; LEVELS],
+    down: [usize; MAX_LEVELS],
     /// Columns of each map.
-    across: [usize; LEVELS],
+    across: [usize; MAX_LEVELS],
     /// Index of each node of each level, or [`MISSING`].
-    nodes: [Vec<u32>; LEVELS],
+    nodes: [Vec<u32>; MAX_LEVELS],
     /// Each particle's cell (entry of the map).
     cell: Vec<u32>,
     /// Distance of each particle from the lowest node of its stencil (cells), 0.5 to 1.5.
@@ -36,8 +34,10 @@ impl Maps {
         position: &[[f32; 2]],
         window: &Window,
         width: f32,
+        levels: usize,
         tables: &mut Tables,
     ) {
+        self.levels = levels;
         let position = &position[window.particles.clone()];
         let extent = [0, 1].map(|axis| (window.upper[axis] - window.lower[axis]) / width);
         self.clear(extent);
@@ -46,19 +46,27 @@ impl Maps {
         self.list_cells(tables);
         self.sort(window.particles.start, tables);
         self.number(tables);
-        for level in 1..LEVELS {
+        for level in 1..levels {
             self.coarsen(level, tables);
         }
-        for (level, nodes) in tables.levels.iter_mut().enumerate() {
+        for (level, nodes) in tables.levels[..levels].iter_mut().enumerate() {
             self.connect(level, nodes);
         }
+    }
+
+    /// Index of node 0 in the maps of level 0. A multiple of the coarsest level's cell, so that a parent's index is half of its
+    /// child's, and so large that no neighbour's index is negative at any level.
+    fn origin(&self) -> usize {
+        1 << self.levels
     }
 
     /// Clears the maps for a domain of this size (cells).
     fn clear(&mut self, extent: [f32; 2]) {
         // The last node is one beyond the domain's end and has a neighbour at each level.
-        let [across, down] = extent.map(|cells| ((cells.ceil() as usize + 1 + ORIGIN) / 4 + 2) * 4);
-        for level in 0..LEVELS {
+        let (origin, coarsest) = (self.origin(), self.origin() / 2);
+        let [across, down] =
+            extent.map(|cells| ((cells.ceil() as usize + 1 + origin) / coarsest + 2) * coarsest);
+        for level in 0..self.levels {
             (self.across[level], self.down[level]) = (across >> level, down >> level);
             self.nodes[level].clear();
             self.nodes[level].resize(self.across[level] * self.down[level], MISSING);
@@ -70,6 +78,7 @@ impl Maps {
     /// Reserves as much as this number of particles can need, wherever they are.
     fn reserve(&mut self, particles: usize, tables: &mut Tables) {
         let area = self.particles.len();
+        let levels = self.levels;
         let Self { cell, offset, occupied, first, down, .. } = self;
         cell.clear();
         offset.clear();
@@ -83,12 +92,12 @@ impl Maps {
         tables.weights.reserve(particles);
         tables.cells.reserve(particles.min(area));
         tables.rows.reserve(down[0]);
-        for (number, level) in tables.levels.iter_mut().enumerate() {
+        for (number, level) in tables.levels[..levels].iter_mut().enumerate() {
             let nodes = particles.saturating_mul(9).min(area >> (2 * number));
             level.at.reserve(nodes);
             level.neighbours.reserve(nodes);
             level.children.reserve(if number > 0 { nodes } else { 0 });
-            level.parent.reserve(if number + 1 < LEVELS { nodes } else { 0 });
+            level.parent.reserve(if number + 1 < levels { nodes } else { 0 });
         }
     }
 
@@ -96,9 +105,10 @@ impl Maps {
     fn locate(&mut self, position: &[[f32; 2]], lower: [f32; 2], extent: [f32; 2], width: f32) {
         self.cell.resize(position.len(), 0);
         self.offset.resize(position.len(), [0.0; 2]);
-        let across = self.across[0];
+        let (origin, across) = (self.origin(), self.across[0]);
         let (cell, offset) = (&mut self.cell, &mut self.offset);
-        Arch::new().dispatch(Locate { position, lower, extent, width, across, cell, offset });
+        let locate = Locate { position, lower, extent, width, origin, across, cell, offset };
+        Arch::new().dispatch(locate);
         for &cell in &self.cell {
             self.particles[cell as usize] += 1;
         }
@@ -142,19 +152,19 @@ impl Maps {
 
     /// Numbers the marked nodes and completes rows and cells.
     fn number(&mut self, tables: &mut Tables) {
-        let across = self.across[0];
+        let (origin, across) = (self.origin() as i32, self.across[0]);
         let level = &mut tables.levels[0];
         for (row, nodes) in self.nodes[0].chunks_exact_mut(across).enumerate() {
             let begun = level.at.len() as u32;
             for (column, node) in nodes.iter_mut().enumerate() {
                 if *node != MISSING {
                     *node = level.at.len() as u32;
-                    level.at.push([column, row].map(|cell| cell as i32 - ORIGIN as i32));
+                    level.at.push([column, row].map(|cell| cell as i32 - origin));
                 }
             }
             let end = level.at.len() as u32;
             if end > begun {
-                // Never negative: the lowest stencils are those of row ORIGIN - 1.
+                // Never negative: the lowest stencils are those of the row before node 0.
                 let cells =
                     [row, row - 1, row - 2].map(|row| [self.first[row], self.first[row + 1]]);
                 tables.rows.push(Row { nodes: [begun, end], cells });
@@ -168,7 +178,7 @@ impl Maps {
     /// Numbers the nodes of a level from those of the next finer level.
     fn coarsen(&mut self, number: usize, tables: &mut Tables) {
         let [finer, level] = [number - 1, number].map(|number| self.across[number]);
-        let origin = (ORIGIN >> number) as i32;
+        let origin = (self.origin() >> number) as i32;
         let (below, nodes) = self.nodes.split_at_mut(number);
         let (below, nodes) = (&below[number - 1], &mut nodes[0]);
         let (fine, coarse) = tables.levels.split_at_mut(number);
@@ -198,7 +208,7 @@ impl Maps {
     /// Finds the neighbours of each node of a level.
     fn connect(&self, number: usize, level: &mut Level) {
         let (across, nodes) = (self.across[number], &self.nodes[number]);
-        let origin = (ORIGIN >> number) as i32;
+        let origin = (self.origin() >> number) as i32;
         level.neighbours.extend(level.at.iter().map(|&[a, b]| {
             let [column, row] = [a, b].map(|cell| (cell + origin) as usize);
             let first = (row - 1) * across + column - 1;
@@ -219,6 +229,7 @@ struct Locate<'a> {
     lower: [f32; 2],
     extent: [f32; 2],
     width: f32,
+    origin: usize,
     across: usize,
     cell: &'a mut [u32],
     offset: &'a mut [[f32; 2]],
@@ -230,14 +241,14 @@ impl WithSimd for Locate<'_> {
     // Scalar code, but compiled with instructions that round down.
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { position, lower, extent, width, across, cell, offset } = self;
+        let Self { position, lower, extent, width, origin, across, cell, offset } = self;
         for ((x, cell), offset) in position.iter().zip(cell).zip(offset) {
             let mut number = [0; 2];
             for axis in 0..2 {
                 // `max` also turns NaN into 0.
                 let cells = ((x[axis] - lower[axis]) / width).max(0.0).min(extent[axis]);
                 let base = (cells - 0.5).floor();
-                number[axis] = (base as i32 + ORIGIN as i32) as u32;
+                number[axis] = (base as i32 + origin as i32) as u32;
                 offset[axis] = cells - base;
             }
             *cell = number[1] * across as u32 + number[0];

@@ -127,7 +127,7 @@ impl Stores {
         streams: &[Trajectory],
         place: Place,
     ) -> Result<Self, TrainError> {
-        Ok(match description.grid {
+        Ok(match &description.grid {
             None => Self::Frame(Arc::new(store(device, streams, place)?)),
             Some(grid) => Self::Particle(Arc::new(particle_store(device, streams, grid.spacing)?)),
         })
@@ -197,7 +197,7 @@ impl Validation {
                 Arc::new(streams.clone())
             }
             Self::Particle(streams) => {
-                streams.set_weights(&checkpoint.description, &checkpoint.tensors)?;
+                streams.set_weights(&checkpoint.tensors)?;
                 Arc::new(streams.clone())
             }
         };
