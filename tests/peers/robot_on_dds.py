@@ -7,19 +7,12 @@ import threading
 import time
 from dataclasses import dataclass
 
-# Loopback only, like eddy; search for participants at the ports of the first participants of the domain.
-os.environ.setdefault("CYCLONEDDS_URI", """
-    <General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces></General>
-    <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
-    <Peers><Peer address="127.0.0.1"/></Peers></Discovery>""")
-
 import rclpy
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
 from cyclonedds.idl.types import float64, int32, sequence, uint32
-from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -28,6 +21,7 @@ from mcap_ros2.reader import read_ros2_messages
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from cyclone_peer import valid  # keeps Cyclone DDS to the loopback
 from robot_peer import COUNT, RATE, TOPICS, Messages, Process, check_replay, expect, read_bag, until, without_hashes
 
 # A type of ROS 2 that is not built into eddy, with references to others.
@@ -196,8 +190,7 @@ class Robot:
 
 
 def taken(reader, into):
-    # The notice of a writer that left is a sample without data.
-    samples = [sample for sample in reader.take(N=100) if not isinstance(sample, InvalidSample)]
+    samples = valid(reader.take(N=100))
     into.extend(bytes(sample.serialize(use_version_2=False)) for sample in samples)
     return into
 

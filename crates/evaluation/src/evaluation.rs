@@ -449,38 +449,16 @@ pub fn short_names(paths: &[String]) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-
     use tempfile::TempDir;
 
     use super::*;
-    use crate::dataset::{
-        load_trajectories,
-        simulate::{SimulationRequest, Source, simulate},
-    };
+    use crate::test_streams::simulated;
     use eddy_frames::progress::Silent;
-    use eddy_mpm::{self as mpm, Extent, Preset};
+    use eddy_mpm::{Extent, Preset};
 
     /// Two streams of 13 frames.
     fn truth() -> (TempDir, Vec<Trajectory>) {
-        let folder = tempfile::tempdir().unwrap();
-        let request = SimulationRequest {
-            source: Source::Random(Extent::usual(Preset::Kinds)),
-            name: "kinds".to_owned(),
-            scene_name: None,
-            scenes: 2,
-            seed: 5,
-            settings: mpm::Settings { duration: Some(0.2), ..mpm::Settings::default() },
-            fields: false,
-            device: None,
-            threads: None,
-        };
-        simulate(&request, folder.path(), &Silent, None).unwrap().complete().unwrap();
-        let streams = load(folder.path());
-        (folder, streams)
-    }
-
-    fn load(folder: &Path) -> Vec<Trajectory> {
-        load_trajectories(&[folder.to_owned()], u64::MAX, &mut |_, _| ()).unwrap()
+        simulated(Extent::usual(Preset::Kinds), 2)
     }
 
     fn request(streams: &[Trajectory]) -> EvaluationRequest {

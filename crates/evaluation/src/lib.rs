@@ -49,6 +49,8 @@ mod skill;
 mod snapshot;
 mod steps;
 mod task;
+#[cfg(test)]
+mod test_streams;
 mod window;
 
 pub use baseline::Baseline;

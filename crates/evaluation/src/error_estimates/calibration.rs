@@ -231,34 +231,17 @@ mod tests {
     use tempfile::TempDir;
 
     use super::*;
-    use crate::dataset::{
-        load_trajectories,
-        simulate::{SimulationRequest, Source, simulate},
-    };
+    use crate::test_streams::simulated;
     use eddy_frames::progress::Silent;
     use eddy_inference::{
         checkpoint::Checkpoint,
         error_model::{FEATURES, Features},
     };
-    use eddy_mpm::{self as mpm, Extent, Preset};
+    use eddy_mpm::{Extent, Preset};
 
     /// Scenes of few particles and 13 frames.
     fn truth(scenes: u32) -> (TempDir, Vec<Trajectory>) {
-        let folder = tempfile::tempdir().unwrap();
-        let request = SimulationRequest {
-            source: Source::Random(Extent::of(Preset::Kinds, 250).unwrap()),
-            name: "kinds".to_owned(),
-            scene_name: None,
-            scenes,
-            seed: 5,
-            settings: mpm::Settings { duration: Some(0.2), ..mpm::Settings::default() },
-            fields: false,
-            device: None,
-            threads: None,
-        };
-        simulate(&request, folder.path(), &Silent, None).unwrap().complete().unwrap();
-        let streams = load_trajectories(&[folder.path().into()], u64::MAX, &mut |_, _| ()).unwrap();
-        (folder, streams)
+        simulated(Extent::of(Preset::Kinds, 250).unwrap(), scenes)
     }
 
     fn shipped() -> Surrogate {
