@@ -121,7 +121,7 @@ pub trait Subscriber: Send {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError>;
 
     /// Number of messages that the transport could not deliver.
-    fn refused(&self) -> u64;
+    fn lost(&self) -> u64;
 }
 
 /// Maps the CDR of a request to the CDR of its response; `None` if there is no response.

@@ -153,7 +153,7 @@ impl Subscriber for MemorySubscriber {
         Ok(self.queue.pop(timeout))
     }
 
-    fn refused(&self) -> u64 {
+    fn lost(&self) -> u64 {
         self.queue.dropped()
     }
 }

@@ -18,7 +18,7 @@ pub const SOURCE: &str = concat!(
     include_str!("motion.cu"),
     include_str!("encoder.cu"),
     include_str!("cells.cu"),
-    include_str!("loss.cu"),
+    include_str!("frame_loss.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
     include_str!("inference.cu"),

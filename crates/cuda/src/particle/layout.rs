@@ -204,6 +204,7 @@ impl Program for Constants {
             ("E", self.encoder),
             ("C0", self.channels[0]),
             ("LEVELS", self.levels()),
+            ("MAX_LEVELS", MAX_LEVELS),
             ("H", self.hidden),
             ("LAYERS", self.layers),
             ("CORE", core),

@@ -20,8 +20,8 @@
 //! (`tests/allocation.rs` counts). The equations are those of the networks in burn (`eddy-learning`), which give the same
 //! predictions within 1e-5; a property test there compares the two.
 //!
-//! Letters in shapes: `N` particles, `F` input features, `E` encoder width, `H` hidden width, `C0` to `C2` channels of
-//! the grid's levels.
+//! Letters in shapes: `N` particles, `F` input features, `E` encoder width, `H` hidden width, `C0`, `C1`, .. channels
+//! of the grid's levels.
 
 mod accelerator;
 mod ballistic;

@@ -108,7 +108,7 @@ pub(super) fn receive(
             }
         }
     }
-    Losses { in_transport: subscriber.refused(), queue_full, unwritten }
+    Losses { in_transport: subscriber.lost(), queue_full, unwritten }
 }
 
 #[cfg(test)]
@@ -136,7 +136,7 @@ mod tests {
             self.failure.take().map_or(Ok(None), Err)
         }
 
-        fn refused(&self) -> u64 {
+        fn lost(&self) -> u64 {
             7
         }
     }

@@ -271,7 +271,7 @@ mod tests {
             Err(TransportError::TopicType { link: self.0.clone(), found, expected })
         }
 
-        fn refused(&self) -> u64 {
+        fn lost(&self) -> u64 {
             0
         }
     }

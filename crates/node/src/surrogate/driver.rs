@@ -221,7 +221,7 @@ fn receive(
             None if end.is_some() => break,
             Some(_) | None => {}
         }
-        lost.store(input.refused(), Ordering::Relaxed);
+        lost.store(input.lost(), Ordering::Relaxed);
     }
     Ok(())
 }

@@ -92,7 +92,7 @@ impl Subscriber for DdsSubscriber {
         Ok(self.shared.queue.pop(timeout).map(Payload::Cdr))
     }
 
-    fn refused(&self) -> u64 {
+    fn lost(&self) -> u64 {
         self.shared.lost.load(Ordering::Relaxed) + self.shared.queue.dropped()
     }
 }

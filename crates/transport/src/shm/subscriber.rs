@@ -122,7 +122,7 @@ impl Subscriber for FrameSubscriber {
     }
 
     /// 0: all messages are delivered, also those that are not valid frames.
-    fn refused(&self) -> u64 {
+    fn lost(&self) -> u64 {
         0
     }
 }
@@ -138,7 +138,7 @@ impl Subscriber for BytesSubscriber {
         Ok(sample.map(|sample| Payload::Cdr(sample.payload().to_vec())))
     }
 
-    fn refused(&self) -> u64 {
+    fn lost(&self) -> u64 {
         0
     }
 }

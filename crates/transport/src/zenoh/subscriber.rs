@@ -88,7 +88,7 @@ impl Subscriber for ZenohSubscriber {
         Ok(self.receiver.queue.pop(timeout).map(Payload::Cdr))
     }
 
-    fn refused(&self) -> u64 {
+    fn lost(&self) -> u64 {
         self.receiver.queue.dropped() + self.receiver.lost.load(Ordering::Relaxed)
     }
 }

@@ -182,7 +182,7 @@ fn a_late_subscriber_receives_the_kept_messages_and_every_message_once() {
     }
     for subscriber in [&mut subscriber, &mut another] {
         assert_eq!(subscriber.receive(Duration::from_millis(200)).unwrap(), None);
-        assert_eq!(subscriber.refused(), 0);
+        assert_eq!(subscriber.lost(), 0);
     }
     // The first subscriber receives every message once.
     let elsewhere = link.with_topic(&format!("{}/later", link.topic));
@@ -291,7 +291,7 @@ fn messages_with_any_attachment_arrive_and_gaps_are_counted() {
         publisher.put(frame(sequence, 2).to_cdr()).attachment(attachment).wait().unwrap();
         expect_frame(&mut *subscriber, &frame(sequence, 2));
     }
-    assert_eq!(subscriber.refused(), 2, "messages 4 and 5 of one publisher");
+    assert_eq!(subscriber.lost(), 2, "messages 4 and 5 of one publisher");
 }
 
 #[test]
@@ -346,7 +346,7 @@ fn exactly_once(publisher: &mut dyn Publisher, subscriber: &mut dyn Subscriber) 
         assert_eq!(next_frame(subscriber).sequence, sequence);
     }
     assert_eq!(subscriber.receive(Duration::from_millis(200)).unwrap(), None);
-    assert_eq!(subscriber.refused(), 0);
+    assert_eq!(subscriber.lost(), 0);
 }
 
 #[test]
