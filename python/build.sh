@@ -11,7 +11,6 @@ set -euo pipefail
 python=$(cd "$(dirname "$0")" && pwd)
 root=$(dirname "$python")
 export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$root/target}"
-export CARGO_INCREMENTAL=0
 
 portable=
 target="$(uname -m)-unknown-linux-gnu"

@@ -71,8 +71,8 @@ pub struct SceneArgs {
     /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
     #[arg(long, value_name = "N")]
     pub substeps: Option<u32>,
-    /// Young's modulus of every material (density x velocity^2); LOW..HIGH gives each random scene another one, its logarithm
-    /// uniform in this range [default: the scene's; 1000, preset stiff 1e5].
+    /// Young's modulus of every material (density x velocity^2); LOW..HIGH draws one for each random scene, its logarithm uniform
+    /// in this range [default: the scene's; 1000, preset stiff 1e5].
     #[arg(long, value_name = "E|LOW..HIGH", value_parser = Stiffness::parse)]
     pub stiffness: Option<Stiffness>,
     /// Constitutive law of liquids: water, or that of Taichi's mpm128 [default: the scene's; water].
@@ -100,6 +100,22 @@ pub enum Stiffness {
 }
 
 impl Stiffness {
+    /// The one of every scene.
+    pub fn one(self) -> Option<f32> {
+        match self {
+            Self::One(stiffness) => Some(stiffness),
+            Self::Between(_) => None,
+        }
+    }
+
+    /// The range.
+    pub fn range(self) -> Option<[f32; 2]> {
+        match self {
+            Self::One(_) => None,
+            Self::Between(range) => Some(range),
+        }
+    }
+
     fn parse(text: &str) -> Result<Self, String> {
         let number = |text: &str| text.trim().parse::<f32>().ok();
         let found = match text.split_once("..") {

@@ -96,7 +96,12 @@ fn a_range_of_stiffness_gives_each_scene_its_own_and_is_part_of_the_request() {
     let said = fail(2, asked("4", "soft"));
     assert!(said.contains("expected a number, or a range such as 300..3e5"), "{said}");
     let said = fail(2, simulate(output, &["--preset", "dam-break", "--stiffness", "1..2"]));
-    assert!(said.contains("preset dam-break is a single scene"), "{said}");
+    assert!(said.contains("expected one number: preset dam-break is a single scene"), "{said}");
+    let file = folder.path().join("scene.toml");
+    fs::write(&file, "").unwrap();
+    let said =
+        fail(2, simulate(output, &["--scene", file.to_str().unwrap(), "--stiffness", "1..2"]));
+    assert!(said.contains("scene.toml is a single scene"), "{said}");
 }
 
 fn frames(bag: &Path) -> Vec<Frame> {

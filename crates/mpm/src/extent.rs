@@ -1,4 +1,4 @@
-//! Number of particles of a random scene, and the domain for them.
+//! What random scenes have in common: the number of particles and the domain for them, the range of their stiffness.
 //!
 //! Density, body sizes, fall heights and speeds are independent of the number of particles: the domain for more particles
 //! is wider, not higher, and contains several sets of bodies side by side, each like a scene of the default size.

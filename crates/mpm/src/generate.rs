@@ -82,7 +82,9 @@ impl Scene {
         let domain = extent.grid().size();
         let mut scene = Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() };
         if let Some([low, high]) = extent.stiffness() {
-            scene.materials.stiffness = low * (high / low).powf(rng.random_range(0.0..1.0));
+            let [low, high] = [low, high].map(f64::from);
+            let stiffness = low * (high / low).powf(rng.random_range(0.0..1.0));
+            scene.materials.stiffness = stiffness.clamp(low, high) as f32;
         }
         scene
     }

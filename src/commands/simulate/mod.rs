@@ -114,11 +114,8 @@ pub(super) fn request(
         None => args.preset.clone(),
     };
     let SceneArgs { law, viscosity, substeps, duration, particle_order: order, .. } = *args;
-    let stiffness = match args.stiffness {
-        Some(Stiffness::One(stiffness)) => Some(stiffness),
-        // Part of the source.
-        Some(Stiffness::Between(_)) | None => None,
-    };
+    // A range is part of the source.
+    let stiffness = args.stiffness.and_then(Stiffness::one);
     Ok(SimulationRequest {
         source,
         name,

@@ -35,18 +35,10 @@ pub(crate) fn presets() -> PossibleValuesParser {
 
 /// The source that the arguments describe.
 pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
-    let range = match args.stiffness {
-        Some(Stiffness::Between(range)) => Some(range),
-        Some(Stiffness::One(_)) | None => None,
-    };
-    if let (Some(_), Some([low, high])) = (&args.scene, range) {
-        let expected = "a scene of a file has one stiffness";
-        return Err(Usage::new(format_args!("--stiffness: found {low}..{high}, {expected}")).into());
-    }
-    if let Some(file) = &args.scene {
-        return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
-    }
-    if let Ok(preset) = Preset::from_str(&args.preset, false) {
+    let range = args.stiffness.and_then(Stiffness::range);
+    if args.scene.is_none()
+        && let Ok(preset) = Preset::from_str(&args.preset, false)
+    {
         let usage = |error: MpmError| Usage::new(format_args!("--{error}"));
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
         let extent = extent.transpose().map_err(usage)?.unwrap_or(Extent::usual(preset));
@@ -60,17 +52,23 @@ pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
             extent
         }));
     }
+    if let Some([low, high]) = range {
+        let scene = match &args.scene {
+            Some(file) => file.display().to_string(),
+            None => format!("preset {}", args.preset),
+        };
+        return Err(Usage::new(format_args!(
+            "--stiffness: found {low}..{high}, expected one number: {scene} is a single scene"
+        ))
+        .into());
+    }
+    if let Some(file) = &args.scene {
+        return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
+    }
     if args.same_bodies {
         return Err(Usage::new(format_args!(
             "--same-bodies: preset {} is a single scene",
             args.preset
-        ))
-        .into());
-    }
-    if let Some([low, high]) = range {
-        let preset = &args.preset;
-        return Err(Usage::new(format_args!(
-            "--stiffness: found {low}..{high}, preset {preset} is a single scene"
         ))
         .into());
     }

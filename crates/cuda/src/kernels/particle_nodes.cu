@@ -4,16 +4,15 @@
 //
 // Constants beside those of common.cu (W4 is W rounded up to 4; lists of numbers are padded so):
 //   F, E, C0   input features, width of the encoder, channels of the finest level of the grid
-//   LEVELS     levels of the grid; MAX_LEVELS: the most that a grid can have
+//   LEVELS     levels of the grid; MAX_LEVELS, MAX_LISTS: the most levels, and lists of features at nodes, of any grid
+//   ORIGIN     index of node 0 in the maps of level 0
 //   LAYERS     layers of the core
 //   CORE       0 MLP, 1 minGRU, 2 minLSTM, 3 GRU, 4 LSTM
 //   TILE       particles of a block
 //   NODES      nodes of a block
 #define ROUND4(n) (((n) + 3) / 4 * 4)
-#define MAX_LISTS (1 + 2 * MAX_LEVELS)
 #define MISSING 0xffffffffu
 #define NODE_FEATURES 5 // mass, and proximity to four walls
-#define ORIGIN (1 << LEVELS) // index of node 0 in the maps of level 0
 
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {

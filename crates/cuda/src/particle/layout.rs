@@ -15,9 +15,10 @@ use std::collections::BTreeMap;
 use eddy_inference::{
     checkpoint::{
         Activation, Core, Description, Form, Weights,
-        layout::{self, GridLayer, PARTICLE_FEATURES, Stencil},
+        grid::{GridLayer, MAX_LISTS, grid_layers, grid_lists},
+        layout::{self, PARTICLE_FEATURES},
     },
-    kernels::nodes::MAX_LEVELS,
+    kernels::nodes::{MAX_LEVELS, origin},
 };
 
 use crate::{
@@ -34,9 +35,6 @@ pub(super) const MOST_PARTS: usize = 8;
 /// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
 /// capability 8.0 on (bytes).
 pub(super) const SHARED: [usize; 2] = [72 << 10, 150 << 10];
-
-/// The most lists of features at nodes ([`layout::grid_lists`]), `MAX_LISTS` of the kernels.
-pub(super) const MAX_LISTS: usize = 1 + 2 * MAX_LEVELS;
 
 /// What the kernels are compiled for: the widths and choices of a particle model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,8 +97,8 @@ impl Constants {
             hidden: sizes.hidden,
             layers: sizes.layers,
             channels: grid.channels.clone(),
-            grid: layout::grid_layers(grid),
-            lists: layout::grid_lists(grid)
+            grid: grid_layers(grid),
+            lists: grid_lists(grid)
                 .into_iter()
                 .map(|(level, width)| (level, four(width)))
                 .collect(),
@@ -205,6 +203,8 @@ impl Program for Constants {
             ("C0", self.channels[0]),
             ("LEVELS", self.levels()),
             ("MAX_LEVELS", MAX_LEVELS),
+            ("MAX_LISTS", MAX_LISTS),
+            ("ORIGIN", origin(self.levels())),
             ("H", self.hidden),
             ("LAYERS", self.layers),
             ("CORE", core),
@@ -301,16 +301,14 @@ impl Layout {
             add(&mut all, named(layout::names("encoder.1")), four(encoder), &plain, 1),
         ];
         let layers = &constants.grid;
-        let grid = layers.iter().enumerate();
+        let grid = layers.iter();
         let grid = grid
-            .map(|(number, layer)| {
+            .map(|layer| {
                 let GridLayer { name, stencil, channels: [group, _], lists: [from, to], .. } =
                     layer;
                 let (places, children) = (stencil.places(), stencil.children());
-                let skip = match stencil {
-                    Stencil::Neighbours | Stencil::Children => 0,
-                    Stencil::Parent { skip } => layers[*skip].lists[1],
-                };
+                // Nothing is added where there is no skip connection; the kernels ask for the stencil.
+                let skip = layer.skip.map_or(0, |layer| layers[layer].lists[1]);
                 let [inner, outputs] = [from, to].map(|list| constants.lists[*list].1);
                 let rows = places * inner;
                 let row = |input: usize| input / group * inner + input % group;
@@ -320,7 +318,7 @@ impl Layout {
                 let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
                 let gathered = constants.nodes * odd(rows);
                 let sums = (parts - 1) * constants.nodes * columns;
-                let rectified = i32::from(number + 1 < layers.len());
+                let rectified = i32::from(layer.rectified);
                 let level = layer.node_level();
                 NodeLayer {
                     numbers: [places, level, *from, *to, skip, inner, outputs]

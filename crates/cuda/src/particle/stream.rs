@@ -10,11 +10,12 @@ use std::sync::{
 use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint,
+    checkpoint::grid::MAX_LISTS,
     engine::{Ballistic, StreamStart},
-    kernels::nodes::MAX_LEVELS,
+    kernels::nodes::{MAX_LEVELS, map_extent},
 };
 
-use super::layout::{Constants, MAX_LISTS};
+use super::layout::Constants;
 use crate::{
     device::{Address, Buffer, Device, Queue},
     error::Result,
@@ -90,7 +91,8 @@ pub(super) struct Row {
     unused: u32,
 }
 
-// SAFETY: integers and numbers without padding between them: 52 of 8 bytes, then 32 of 4.
+const _: () = assert!(size_of::<Row>() == 8 * (31 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
+// SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for Row {}
@@ -199,8 +201,11 @@ impl Size {
         (self.extent[0] >> level) * (self.extent[1] >> level)
     }
 
-    /// The most nodes of a level: each particle touches nine, and four of the coarser ones.
+    /// The most nodes of a level, if there is one: each particle touches nine, and four of the coarser ones.
     pub(super) fn nodes(&self, level: usize) -> usize {
+        if level >= self.levels {
+            return 0;
+        }
         let touched = if level == 0 { 9 } else { 4 };
         self.particles.saturating_mul(touched).min(self.entries(level))
     }
@@ -266,14 +271,6 @@ impl Size {
         }
         places.length
     }
-}
-
-/// Columns and rows of the map of level 0 of a domain of this size (cells), as in `kernels/nodes/window.rs` of eddy-inference:
-/// the last node has a neighbour at each of so many levels.
-pub(super) fn map_extent(cells: [f32; 2], levels: usize) -> [usize; 2] {
-    // `ORIGIN` of the kernels: index of node 0; a cell of the coarsest level.
-    let (origin, coarsest) = (1 << levels, 1 << (levels - 1));
-    cells.map(|cells| ((cells.ceil() as usize + 1 + origin) / coarsest + 2) * coarsest)
 }
 
 /// The size of a domain (cells).

@@ -10,8 +10,8 @@
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
 //! | encode | a tile of particles | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
-//! | 11 layers | a few nodes | a field | another field |
-//! | decode | a tile of particles | field 11, features, states | states, outputs |
+//! | layers on nodes | a few nodes | a field | the next field |
+//! | decode | a tile of particles | the last field, features, states | states, outputs |
 //! | advance | 256 particles | outputs, trajectories | the next frame's particles, squares of errors |
 //!
 //! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.

@@ -225,7 +225,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     if let Some(GridOptions { cell_width, channels, spacing }) = grid {
         positive("surroundings.cell_width", *cell_width)?;
         positive("surroundings.spacing", *spacing)?;
-        let valid = GridOptions::are_channels(channels);
+        let valid = GridOptions::valid_channels(channels);
         let (name, found) = ("surroundings.channels", format!("{channels:?}"));
         require(valid, name, &found, GridOptions::CHANNELS)?;
     }

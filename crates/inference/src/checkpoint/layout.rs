@@ -33,7 +33,8 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{
-    Architecture, CheckpointError, Core, Description, GridOptions, MaterialInput, Pooling, Weights,
+    Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Weights,
+    grid::{GridLayer, grid_layers},
 };
 use eddy_frames::Material;
 
@@ -89,124 +90,6 @@ pub fn names(layer: &str) -> [String; 2] {
     ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
 }
 
-/// What a layer on the grid reads for a node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stencil {
-    /// The 3 x 3 nodes around it.
-    Neighbours,
-    /// Its 2 x 2 children in the next finer level.
-    Children,
-    /// Its parent in the next coarser level; the output of the layer with this number is added (skip connection).
-    Parent {
-        /// Number of that layer.
-        skip: usize,
-    },
-}
-
-impl Stencil {
-    /// Number of nodes read.
-    pub fn places(self) -> usize {
-        match self {
-            Self::Neighbours => 9,
-            Self::Children => 4,
-            Self::Parent { .. } => 1,
-        }
-    }
-
-    /// Number of nodes that have a matrix of their own: the children of a parent.
-    pub fn children(self) -> usize {
-        match self {
-            Self::Neighbours | Self::Children => 1,
-            Self::Parent { .. } => 4,
-        }
-    }
-}
-
-/// A layer on the grid. Each reads what the one before has written; the first one, the averages over particles. ReLU follows
-/// all but the last one.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct GridLayer {
-    /// Name of the layer.
-    pub name: String,
-    /// What it reads.
-    pub stencil: Stencil,
-    /// Level of the nodes that it writes to; 0 is the finest.
-    pub level: usize,
-    /// Channels of a node that it reads, and of one that it writes.
-    pub channels: [usize; 2],
-    /// The lists ([`grid_lists`]) that it reads and writes where lists are used again.
-    pub lists: [usize; 2],
-}
-
-impl GridLayer {
-    /// Level of the nodes that it is computed for one by one: where it reads parents, theirs.
-    pub fn node_level(&self) -> usize {
-        match self.stencil {
-            Stencil::Neighbours | Stencil::Children => self.level,
-            Stencil::Parent { .. } => self.level + 1,
-        }
-    }
-
-    /// Its matrix.
-    fn linear(&self) -> LinearLayer {
-        let [input, output] = self.channels;
-        let [weight, bias] = names(&self.name);
-        LinearLayer {
-            weight,
-            bias,
-            input: self.stencil.places() * input,
-            output: self.stencil.children() * output,
-            sharing: self.stencil.children(),
-        }
-    }
-}
-
-/// The layers on the grid, in order: down to the coarsest level and up again.
-pub fn grid_layers(grid: &GridOptions) -> Vec<GridLayer> {
-    let channels = &grid.channels;
-    let coarsest = channels.len() - 1;
-    let mut layers: Vec<GridLayer> = Vec::new();
-    let mut add = |level: usize, part: &str, stencil: Stencil| {
-        let before = layers.last();
-        let read = before.map_or(channels[0] + NODE_FEATURES, |layer| layer.channels[1]);
-        let from = before.map_or(0, |layer| layer.lists[1]);
-        // The two lists of a level are written in turn.
-        let written = layers.iter().filter(|layer| layer.level == level).count();
-        layers.push(GridLayer {
-            name: format!("grid.{level}.{part}"),
-            stencil,
-            level,
-            channels: [read, channels[level]],
-            lists: [from, 1 + 2 * level + written % 2],
-        });
-        layers.len() - 1
-    };
-    add(0, "a", Stencil::Neighbours);
-    let mut last = vec![add(0, "b", Stencil::Neighbours)];
-    for level in 1..=coarsest {
-        add(level, "down", Stencil::Children);
-        last.push(add(level, "a", Stencil::Neighbours));
-    }
-    add(coarsest, "b", Stencil::Neighbours);
-    for level in (0..coarsest).rev() {
-        add(level, "up", Stencil::Parent { skip: last[level] });
-        add(level, if level == 0 { "c" } else { "b" }, Stencil::Neighbours);
-    }
-    layers
-}
-
-/// The number of the list that particles are summed in: averages, mass, and proximity to the four walls.
-pub const WRITTEN: usize = 0;
-/// The number of the list that particles gather from.
-pub const READ: usize = 2;
-
-/// Level and width of the lists of features at nodes that the layers need at least: the one that particles are summed in, and
-/// two for each level.
-pub fn grid_lists(grid: &GridOptions) -> Vec<(usize, usize)> {
-    let pairs = grid.channels.iter().enumerate().flat_map(|(level, &width)| [(level, width); 2]);
-    std::iter::once((0, grid.channels[0] + NODE_FEATURES)).chain(pairs).collect()
-}
-
 /// The linear layers of a network, from input to output.
 pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
     let Description { architecture, core, sizes, frame, grid, .. } = description;
@@ -231,7 +114,13 @@ pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
         linear(names("encoder.0"), features, sizes.encoder),
         linear(names("encoder.1"), sizes.encoder, encoded),
     ];
-    layers.extend(grid.iter().flat_map(grid_layers).map(|layer| layer.linear()));
+    for GridLayer { name, stencil, channels: [input, output], .. } in
+        grid.iter().flat_map(grid_layers)
+    {
+        let sharing = stencil.children();
+        let layer = linear(names(&name), stencil.places() * input, sharing * output);
+        layers.push(LinearLayer { sharing, ..layer });
+    }
     if grid.is_some() {
         layers.push(linear(names("context"), features + encoded, hidden));
     }

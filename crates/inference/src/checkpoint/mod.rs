@@ -5,7 +5,7 @@
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
 //!    that correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32 in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
-//!    derives from the description.
+//!    derives from the description; [`grid`] states the order of the particle model's layers on its grid.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
 //! `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
@@ -14,6 +14,7 @@
 mod description;
 mod error;
 mod files;
+pub mod grid;
 mod initial;
 pub mod layout;
 mod network;

@@ -221,11 +221,11 @@ impl GridOptions {
     /// Numbers of levels that a grid can have.
     pub const LEVELS: RangeInclusive<usize> = MIN_LEVELS..=MAX_LEVELS;
 
-    /// What is expected of channels.
+    /// What is expected of the channels.
     pub const CHANNELS: &str = "two to four numbers, 1 to 4096 each";
 
-    /// Whether channels are those of a grid.
-    pub fn are_channels(channels: &[usize]) -> bool {
+    /// Whether the channels are as expected.
+    pub fn valid_channels(channels: &[usize]) -> bool {
         Self::LEVELS.contains(&channels.len())
             && channels.iter().all(|width| (1..=1 << 12).contains(width))
     }

@@ -117,6 +117,12 @@ fn an_unknown_key_is_named() {
 fn sizes_out_of_range_are_rejected() {
     let message = rejection(edit_description("layers = 1", "layers = 0"));
     assert_eq!(message, "x/model.toml: sizes.layers: found 0, expected 1 to 65536");
+    for channels in ["[]", "[2]", "[2, 3, 2, 3, 2]", "[2, 0, 2]", "[2, 3, 5000]"] {
+        let message =
+            rejection(edit_description("channels = [2, 3, 2]", &format!("channels = {channels}")));
+        let expected = format!("found {channels}, expected two to four numbers, 1 to 4096 each");
+        assert_eq!(message, format!("x/model.toml: surroundings.channels: {expected}"));
+    }
     let message = rejection(edit_description("layers = 1", "layers = 1\nparticles = 7"));
     let expected = "expected nothing for the particle model";
     assert_eq!(message, format!("x/model.toml: sizes.particles: found 7, {expected}"));

@@ -17,12 +17,13 @@ use super::{
 use crate::{
     checkpoint::{
         GridOptions, Weights,
-        layout::{self, GridLayer, READ, Stencil, WRITTEN},
+        grid::{GridLayer, MAX_LISTS, READ, Stencil, WRITTEN, grid_layers, grid_lists},
+        layout,
     },
     kernels::{
         activation::Exponentials,
         math::relu,
-        nodes::{MAX_LEVELS, MISSING, Nodes, Row, range},
+        nodes::{MISSING, Nodes, Row, range},
     },
 };
 use eddy_frames::Domain;
@@ -31,15 +32,12 @@ use eddy_threads::DisjointSlice;
 /// Nodes per block: a multiple of the rows that are computed at once.
 const BLOCK: usize = 24;
 
-/// The most lists of features at nodes ([`layout::grid_lists`]).
-const MAX_FIELDS: usize = 1 + 2 * MAX_LEVELS;
-
 /// A packed layer.
 #[derive(Debug)]
 struct Layer {
     plan: GridLayer,
     /// The list that is added, of a layer that reads parents.
-    skip: usize,
+    skip: Option<usize>,
     /// One matrix, or one per child.
     linears: Vec<Linear>,
 }
@@ -62,13 +60,13 @@ pub(super) struct Grid {
 pub(super) struct Scratch {
     pub(super) nodes: Nodes,
     /// The lists, `[nodes + 1, its stride]`; the last row is zero.
-    pub(super) fields: [Vec<f32>; MAX_FIELDS],
+    pub(super) fields: [Vec<f32>; MAX_LISTS],
     /// Proximity to the left and right wall of each column of nodes from [`FIRST_COLUMN`] on.
     pub(super) columns: Vec<[f32; 2]>,
 }
 
 /// The lists of [`Scratch`], shared between threads.
-pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_FIELDS];
+pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_LISTS];
 
 impl Grid {
     pub(super) fn pack(
@@ -83,7 +81,7 @@ impl Grid {
                     vec![Linear::pack(lanes, weight, bias, 0, 1)]
                 }
                 // All children share the bias.
-                Stencil::Parent { .. } => {
+                Stencil::Parent => {
                     let [outputs, inputs] = [bias.values.len(), weight.shape[1]];
                     let children = weight.values.chunks_exact(outputs * inputs);
                     let child = |values: &[f32]| Weights {
@@ -94,15 +92,13 @@ impl Grid {
                 }
             }
         };
-        let layers = layout::grid_layers(grid);
-        let pack = |layer: &GridLayer| {
-            let skip = match layer.stencil {
-                Stencil::Neighbours | Stencil::Children => WRITTEN,
-                Stencil::Parent { skip } => layers[skip].lists[1],
-            };
-            Layer { plan: layer.clone(), skip, linears: linears(layer) }
+        let layers = grid_layers(grid);
+        let pack = |layer: &GridLayer| Layer {
+            plan: layer.clone(),
+            skip: layer.skip.map(|layer| layers[layer].lists[1]),
+            linears: linears(layer),
         };
-        let lists = layout::grid_lists(grid).into_iter();
+        let lists = grid_lists(grid).into_iter();
         Self {
             layers: layers.iter().map(pack).collect(),
             lists: lists.map(|(level, width)| (level, width.next_multiple_of(lanes))).collect(),
@@ -215,12 +211,12 @@ impl Grid {
                 let source = Gathered { table: &level.children[own.clone()], rows, zero };
                 self.gather(simd, number, own, &source, &fields[to]);
             }
-            Stencil::Parent { .. } => {
+            Stencil::Parent => {
                 let numbers = &numbers[own.start * rows.width..own.end * rows.width];
                 let children = &level.children[own.clone()];
+                let skip = fields[skip.expect("layers that read parents have a skip connection")];
                 for (child, linear) in linears.iter().enumerate() {
-                    let mut sink =
-                        Children { children, child, skip: fields[*skip], to: fields[to], width };
+                    let mut sink = Children { children, child, skip, to: fields[to], width };
                     let source = Rows { numbers, width: rows.width };
                     apply(simd, linear, own.len(), &source, &mut sink);
                 }
@@ -242,8 +238,7 @@ impl Grid {
         let width = self.stride(plan.lists[1]);
         // SAFETY: only this item uses these nodes.
         let numbers = unsafe { field.part(nodes.start * width..nodes.end * width) };
-        // Only the last layer has no ReLU.
-        let mut sink = Output { numbers, width, rectify: number + 1 < self.len() };
+        let mut sink = Output { numbers, width, rectify: plan.rectified };
         apply(simd, &linears[0], nodes.len(), source, &mut sink);
     }
 }

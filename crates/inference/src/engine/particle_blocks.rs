@@ -11,7 +11,7 @@ use super::{
     particle_model::{BLOCK, COLUMNS, LayerBuffers, ParticleModel, StepContext},
     products::{Columns, Concatenated, Output, Rows, apply},
 };
-use crate::{checkpoint::layout::READ, kernels::transfer::gather};
+use crate::{checkpoint::grid::READ, kernels::transfer::gather};
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;

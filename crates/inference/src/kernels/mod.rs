@@ -18,7 +18,7 @@
 //!
 //! The sparse grid and the rest shape, for both:
 //!
-//! 8. [`nodes`]: the nodes that particles touch, at three cell widths.
+//! 8. [`nodes`]: the nodes that particles touch, at two to four cell widths.
 //! 9. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
 //! 10. [`gathered`]: convolutions on nodes.
 //! 11. [`rest_shape`]: strain and bend of jelly and rope.

@@ -79,6 +79,8 @@ impl SimulateJob {
     }
 
     fn request(&self) -> anyhow::Result<SimulationRequest> {
+        let twice = self.stiffness.is_some() && self.settings.stiffness.is_some();
+        ensure!(!twice, "job: found stiffness and settings.stiffness, expected one of them");
         let source = match &self.scene {
             Some(scene) => Source::Written(Box::new(scene.clone())),
             None => {
@@ -172,5 +174,34 @@ impl DataTask {
         let job = Job::plan(&checked, None, Some(1))?;
         let frames = |planned: &Planned| planned.most_frames as f64;
         Ok(job.planned().iter().map(frames).sum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_keeps_the_range_of_the_stiffness() {
+        let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e3]).unwrap();
+        let request = SimulationRequest {
+            source: Source::Random(extent),
+            name: "kinds".to_owned(),
+            scene_name: None,
+            scenes: 4,
+            seed: 1,
+            settings: Settings::default(),
+            fields: false,
+            device: None,
+            threads: None,
+        };
+        let job = SimulateJob::new(&request, Path::new("bags/kinds"), DeviceKind::Flex);
+        let mut job: SimulateJob =
+            serde_json::from_str(&serde_json::to_string(&job).unwrap()).unwrap();
+        let Source::Random(found) = job.request().unwrap().source else { panic!("a file") };
+        assert_eq!(found, extent);
+        job.settings.stiffness = Some(1e3);
+        let message = job.request().unwrap_err().to_string();
+        assert_eq!(message, "job: found stiffness and settings.stiffness, expected one of them");
     }
 }

@@ -5,6 +5,8 @@
 //! with the domain. A convolution is a linear layer on the concatenated rows of the nodes around a node; missing nodes count
 //! as zeros.
 
+use std::collections::BTreeMap;
+
 use burn::tensor::{Tensor, activation::relu};
 
 use super::{
@@ -13,7 +15,7 @@ use super::{
     linear::Linear,
     sparse,
 };
-use eddy_inference::checkpoint::layout::{GridLayer, Stencil};
+use eddy_inference::checkpoint::grid::{GridLayer, Stencil};
 
 /// The layers on the grid, and the layer after them.
 #[derive(Clone, Debug)]
@@ -37,21 +39,28 @@ impl GridLayers {
         let fused = fused::runs_on(&encoded.device());
         let write = if fused { fused_layers::write } else { sparse::write };
         let mut rows = write(context, encoded, position.clone()); // [M0, C0 + 5]
-        let mut outputs = Vec::with_capacity(self.plan.len());
+        // What later layers add, [M, C] of its level.
+        let mut skipped = BTreeMap::new();
         for (number, (layer, linear)) in self.plan.iter().zip(&self.grid).enumerate() {
-            let rectify = number + 1 < self.plan.len();
-            let level = layer.level;
-            rows = match layer.stencil {
+            let GridLayer { stencil, level, skip, rectified, .. } = *layer;
+            rows = match stencil {
                 Stencil::Neighbours => {
-                    gather(context, linear, rows, Table::Neighbours(level), rectify)
+                    gather(context, linear, rows, Table::Neighbours(level), rectified)
                 }
-                Stencil::Children => gather(context, linear, rows, Table::Children(level), rectify),
-                Stencil::Parent { skip } => {
-                    let skip: &Tensor<2> = &outputs[skip];
-                    relu(skip.clone() + spread(context, linear, level, rows))
+                Stencil::Children => {
+                    gather(context, linear, rows, Table::Children(level), rectified)
+                }
+                Stencil::Parent => {
+                    let sum = spread(context, linear, level, rows);
+                    relu(match skip.and_then(|layer| skipped.remove(&layer)) {
+                        Some(skip) => skip + sum,
+                        None => sum,
+                    })
                 }
             };
-            outputs.push(rows.clone()); // [M, C] of its level
+            if self.plan.iter().any(|layer| layer.skip == Some(number)) {
+                skipped.insert(number, rows.clone());
+            }
         }
         let read = if fused { fused_layers::read } else { sparse::read };
         read(context, rows, position.clone()) // [R, C0]

@@ -11,7 +11,7 @@ use super::{
     linear::{Linear, exchange, gradient, weights},
     state::LayerState,
 };
-use eddy_inference::checkpoint::{Description, Weights, layout};
+use eddy_inference::checkpoint::{Description, Weights, grid::grid_layers, layout};
 
 /// All layers of a network.
 #[derive(Clone, Debug)]
@@ -39,7 +39,7 @@ impl Layers {
         Self {
             encoder: ["encoder.0", "encoder.1"].map(|layer| linear(layout::names(layer))),
             grid: description.grid.as_ref().map(|grid| {
-                let plan = layout::grid_layers(grid);
+                let plan = grid_layers(grid);
                 let grid = plan.iter().map(|layer| linear(layout::names(&layer.name))).collect();
                 GridLayers { plan, grid, context: linear(layout::names("context")) }
             }),

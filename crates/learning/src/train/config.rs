@@ -473,7 +473,7 @@ impl TrainConfig {
         }
         below_one("network.dropout", dropout)?;
         positive("network.cell_width", self.network.cell_width)?;
-        let valid = GridOptions::are_channels(channels);
+        let valid = GridOptions::valid_channels(channels);
         require("network.channels", format!("{channels:?}"), valid, GridOptions::CHANNELS)?;
         let (frame, default) = (self.network.frame, FrameOptions::default());
         let valid = self.architecture == Architecture::Frame || frame == default;
@@ -551,4 +551,26 @@ fn below_one<T: Into<f64> + ToString + Copy>(
 
 fn setting(field: &'static str, found: impl ToString, expected: &'static str) -> TrainError {
     TrainError::Setting { field, found: found.to_string(), expected }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_has_two_to_four_levels() {
+        let checked = |channels: &[usize]| {
+            let mut config = TrainConfig::defaults(Architecture::Particle);
+            config.network.channels = channels.to_vec();
+            config.check().map_err(|error| error.to_string())
+        };
+        for channels in [&[8, 1][..], &[8, 4096, 3], &[8; 4]] {
+            checked(channels).unwrap();
+        }
+        for channels in [&[][..], &[8], &[8; 5], &[8, 0], &[8, 4097]] {
+            let message = checked(channels).unwrap_err();
+            let expected = "expected two to four numbers, 1 to 4096 each";
+            assert_eq!(message, format!("network.channels: found {channels:?}, {expected}"));
+        }
+    }
 }

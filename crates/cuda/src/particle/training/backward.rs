@@ -2,7 +2,7 @@
 
 use super::{
     Training,
-    forward::{NODE_SUM_THREADS, NodeLayer, stencil_number},
+    forward::{NODE_SUM_THREADS, NodeLayer},
     plan::PARTICLE_THREADS,
 };
 use crate::{
@@ -11,7 +11,7 @@ use crate::{
     kernels::Kernel,
     training::Matrix,
 };
-use eddy_inference::checkpoint::layout::Stencil;
+use eddy_inference::checkpoint::grid::Stencil;
 
 /// Blocks that turn a matrix.
 const TURNING: usize = 16;
@@ -74,33 +74,31 @@ impl Training {
 
     /// The gradients by the lists that the layers on nodes read, the last layer first.
     fn node_layers_backward(&self, sheet: usize, sheets: usize) -> Result<()> {
-        let widths = self.constants.fields();
+        let sizes = self.constants.fields();
         let super::plan::Plan { fields, slopes, .. } = &self.memory.plan;
         let layers = &self.constants.network.grid;
-        for (from, (matrix, plan)) in self.layout.grid.iter().zip(layers).enumerate().rev() {
+        for (from, (matrix, layer)) in self.layout.grid.iter().zip(layers).enumerate().rev() {
             let to = from + 1;
             // The lists that a later layer adds have a gradient from there.
-            let later = layers.iter().position(
-                |later| matches!(later.stencil, Stencil::Parent { skip } if skip + 1 == from),
-            );
-            // What went to the children comes from them, and the other way round.
-            let back = match plan.stencil {
-                Stencil::Neighbours => Stencil::Neighbours,
-                Stencil::Children => Stencil::Parent { skip: from },
-                Stencil::Parent { .. } => Stencil::Children,
-            };
-            let layer = NodeLayer {
-                stencil: stencil_number(back),
+            let later =
+                layers.iter().position(|later| later.skip.is_some_and(|skip| skip + 1 == from));
+            let node_layer = NodeLayer {
+                // What went to the children comes from them, and the other way round.
+                stencil: match layer.stencil {
+                    Stencil::Neighbours => Stencil::Neighbours,
+                    Stencil::Children => Stencil::Parent,
+                    Stencil::Parent => Stencil::Children,
+                },
                 weights: self.turned(matrix),
                 bias: Address::NULL,
                 lists: [slopes[to], slopes[from]],
-                widths: [widths[to].1, widths[from].1],
-                level: plan.node_level(),
+                widths: [sizes[to].1, sizes[from].1],
+                level: layer.node_level(),
                 add: later.map_or(0, |layer| slopes[layer + 1]),
                 mask: if from == 0 { 0 } else { fields[from] },
                 rectified: false,
             };
-            self.layer(&layer, sheet, sheets)?;
+            self.layer(&node_layer, sheet, sheets)?;
         }
         Ok(())
     }

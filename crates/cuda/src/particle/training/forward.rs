@@ -8,7 +8,7 @@ use crate::{
     particle::layout::{MOST_PARTS, NODE_THREADS, ROWS, odd},
     training::{Matrix, Settings},
 };
-use eddy_inference::checkpoint::layout::Stencil;
+use eddy_inference::checkpoint::grid::Stencil;
 
 /// Threads of a block that lists cells, `CELL_THREADS` of the kernels.
 const CELL_THREADS: usize = 512;
@@ -17,8 +17,7 @@ pub(super) const NODE_SUM_THREADS: usize = 128;
 
 /// A layer on nodes, in either direction.
 pub(super) struct NodeLayer {
-    /// `NEIGHBOURS`, `FROM_CHILDREN`, `TO_CHILDREN` of the kernels.
-    pub(super) stencil: usize,
+    pub(super) stencil: Stencil,
     pub(super) weights: Address,
     pub(super) bias: Address,
     /// Lists read and written, and their widths.
@@ -32,18 +31,14 @@ pub(super) struct NodeLayer {
     pub(super) rectified: bool,
 }
 
-/// The number of a stencil in the kernels.
+/// `NEIGHBOURS`, `FROM_CHILDREN`, `TO_CHILDREN` of the kernels.
 pub(super) fn stencil_number(stencil: Stencil) -> usize {
     match stencil {
         Stencil::Neighbours => 0,
         Stencil::Children => 1,
-        Stencil::Parent { .. } => 2,
+        Stencil::Parent => 2,
     }
 }
-
-/// Rows that a layer gathers, and children that it writes to, by the stencil's number.
-pub(super) const PLACES: [usize; 3] = [9, 4, 1];
-pub(super) const TARGETS: [usize; 3] = [1, 1, 4];
 
 impl Training {
     /// A layer on the nodes of `sheets` sheets from `first` on.
@@ -51,12 +46,13 @@ impl Training {
         let NodeLayer {
             stencil, weights, bias, lists: [from, to], widths: [width, outputs], ..
         } = *layer;
-        let (inner, columns) = (PLACES[stencil] * width, TARGETS[stencil] * outputs);
+        let (inner, columns) = (stencil.places() * width, stencil.children() * outputs);
         let nodes = self.constants.nodes;
         let items = nodes / ROWS * columns / 4;
         let parts = (NODE_THREADS / items).min(inner / 16).clamp(1, MOST_PARTS);
         let shared = 4 * (nodes * odd(inner)).max((parts - 1) * nodes * columns);
         let places = [weights.0, bias.0, from, to, layer.add, layer.mask];
+        let stencil = stencil_number(stencil);
         let numbers = [stencil, layer.level, width, outputs, usize::from(layer.rectified), parts];
         let mut bytes = bytemuck::cast_slice(&places).to_vec();
         bytes.extend_from_slice(bytemuck::cast_slice(&numbers.map(|number| number as u32)));
@@ -87,26 +83,23 @@ impl Training {
         let items = self.memory.nodes[0] * (c0.div_ceil(4) + 1);
         let shape = Self::over(items, NODE_SUM_THREADS, sheets);
         self.launch(Kernel::TrainToNodes, shape, &[plan, sheet.into()])?;
-        let (widths, fields) = (self.constants.fields(), &self.memory.plan.fields);
+        // The first list, then the output of each layer.
+        let (sizes, fields) = (self.constants.fields(), &self.memory.plan.fields);
         let layers = &self.constants.network.grid;
-        for (from, (matrix, plan)) in self.layout.grid.iter().zip(layers).enumerate() {
+        for (from, (matrix, layer)) in self.layout.grid.iter().zip(layers).enumerate() {
             let to = from + 1;
-            let add = match plan.stencil {
-                Stencil::Neighbours | Stencil::Children => 0,
-                Stencil::Parent { skip } => fields[skip + 1],
-            };
-            let layer = NodeLayer {
-                stencil: stencil_number(plan.stencil),
+            let node_layer = NodeLayer {
+                stencil: layer.stencil,
                 weights: self.weight(matrix),
                 bias: self.weight(matrix).plus(matrix.bias * matrix.columns),
                 lists: [fields[from], fields[to]],
-                widths: [widths[from].1, widths[to].1],
-                level: plan.node_level(),
-                add,
+                widths: [sizes[from].1, sizes[to].1],
+                level: layer.node_level(),
+                add: layer.skip.map_or(0, |skip| fields[skip + 1]),
                 mask: 0,
-                rectified: to < layers.len(),
+                rectified: layer.rectified,
             };
-            self.layer(&layer, sheet, sheets)?;
+            self.layer(&node_layer, sheet, sheets)?;
         }
         self.launch(
             Kernel::TrainDecode,

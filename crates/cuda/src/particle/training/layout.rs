@@ -14,7 +14,8 @@
 use eddy_inference::{
     checkpoint::{
         Core, Description,
-        layout::{self, GridLayer, PARTICLE_FEATURES, Stencil},
+        grid::{GridLayer, Stencil},
+        layout::{self, PARTICLE_FEATURES},
     },
     kernels::nodes::MAX_LEVELS,
 };
@@ -240,7 +241,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use eddy_inference::checkpoint::{Architecture, Sizes, initial_weights, layout::linear_layers};
+    use eddy_inference::checkpoint::{
+        Architecture, GridOptions, Sizes, initial_weights, layout::linear_layers,
+    };
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
@@ -250,7 +253,7 @@ mod tests {
             layers in 1..4usize,
             encoder in 1..20usize,
             hidden in 1..20usize,
-            channels in prop::collection::vec(1..10usize, 2..=MAX_LEVELS),
+            channels in prop::collection::vec(1..10usize, GridOptions::LEVELS),
         ) {
             let sizes = Sizes { encoder, hidden, layers, particles: None };
             let mut description = Description::untrained(Architecture::Particle, core, sizes);

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use eddy_inference::{
     checkpoint::{Core, Description},
     engine::{Ballistic, scales},
-    kernels::nodes::MAX_LEVELS,
+    kernels::nodes::{MAX_LEVELS, map_extent},
 };
 
 use super::{
@@ -18,7 +18,7 @@ use crate::{
     device::{Address, Buffer, Device},
     error::Result,
     kernels::AXES,
-    particle::stream::{cells_across, map_extent},
+    particle::stream::cells_across,
     training::{Settings, Tables},
 };
 
@@ -107,7 +107,10 @@ impl Plan {
     }
 }
 
-// SAFETY: integers and numbers without padding between them: 80 of 8 bytes, then 34 of 4.
+const _: () = assert!(
+    size_of::<Plan>() == 8 * (40 + 2 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
+);
+// SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Plan {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for Plan {}

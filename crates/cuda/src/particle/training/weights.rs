@@ -2,7 +2,7 @@
 
 use super::{
     Training,
-    forward::{PLACES, TARGETS, stencil_number},
+    forward::stencil_number,
     layout::{Layout, MOST_SHARED, TrainingConstants},
     plan::Plan,
 };
@@ -13,6 +13,7 @@ use crate::{
     particle::layout::{ROWS, odd},
     training::{Matrix, Settings},
 };
+use eddy_inference::checkpoint::grid::Stencil;
 
 /// Blocks of a matrix, at least about so many where there are frames enough.
 const BLOCKS: usize = 128;
@@ -33,8 +34,8 @@ struct Rows {
     widths: [usize; 2],
     /// Numbers from a row to the next one.
     strides: [usize; 2],
-    /// The stencil's number and the level, of rows of nodes.
-    nodes: Option<(usize, usize)>,
+    /// The stencil and the level, of rows of nodes.
+    nodes: Option<(Stencil, usize)>,
     /// Numbers left out before the last third of the gradients.
     gap: usize,
 }
@@ -50,10 +51,10 @@ impl Rows {
     /// block (bytes).
     fn blocks(self, matrix: &Matrix, nodes: usize, table: &mut Vec<[u32; WORDS]>) -> Result<usize> {
         let (stencil, level) = self.nodes.map_or((0, -1), |(stencil, level)| {
-            (stencil, i32::try_from(level).unwrap_or_default())
+            (stencil_number(stencil), i32::try_from(level).unwrap_or_default())
         });
         let (places, targets, rows) = match self.nodes {
-            Some((stencil, _)) => (PLACES[stencil], TARGETS[stencil], nodes),
+            Some((stencil, _)) => (stencil.places(), stencil.children(), nodes),
             None => (1, 1, PARTICLE_ROWS),
         };
         let [inner, columns] = [places * self.widths[0], targets * self.widths[1]];
@@ -166,7 +167,7 @@ fn rows<'a>(
         let to = from + 1;
         let read = (plan.fields[from], fields[from].1);
         let lists = Rows::of_particles(read, (plan.slopes[to], fields[to].1));
-        let nodes = Some((stencil_number(layer.stencil), layer.node_level()));
+        let nodes = Some((layer.stencil, layer.node_level()));
         all.push((matrix, Rows { nodes, ..lists }));
     }
     let by_context = (plan.by_context, units);

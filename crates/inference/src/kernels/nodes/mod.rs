@@ -20,7 +20,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-pub use window::weights;
+pub use window::{map_extent, origin, weights};
 
 use window::Maps;
 

@@ -54,18 +54,9 @@ impl Maps {
         }
     }
 
-    /// Index of node 0 in the maps of level 0. A multiple of the coarsest level's cell, so that a parent's index is half of its
-    /// child's, and so large that no neighbour's index is negative at any level.
-    fn origin(&self) -> usize {
-        1 << self.levels
-    }
-
     /// Clears the maps for a domain of this size (cells).
     fn clear(&mut self, extent: [f32; 2]) {
-        // The last node is one beyond the domain's end and has a neighbour at each level.
-        let (origin, coarsest) = (self.origin(), self.origin() / 2);
-        let [across, down] =
-            extent.map(|cells| ((cells.ceil() as usize + 1 + origin) / coarsest + 2) * coarsest);
+        let [across, down] = map_extent(extent, self.levels);
         for level in 0..self.levels {
             (self.across[level], self.down[level]) = (across >> level, down >> level);
             self.nodes[level].clear();
@@ -105,7 +96,7 @@ impl Maps {
     fn locate(&mut self, position: &[[f32; 2]], lower: [f32; 2], extent: [f32; 2], width: f32) {
         self.cell.resize(position.len(), 0);
         self.offset.resize(position.len(), [0.0; 2]);
-        let (origin, across) = (self.origin(), self.across[0]);
+        let (origin, across) = (origin(self.levels), self.across[0]);
         let (cell, offset) = (&mut self.cell, &mut self.offset);
         let locate = Locate { position, lower, extent, width, origin, across, cell, offset };
         Arch::new().dispatch(locate);
@@ -152,7 +143,7 @@ impl Maps {
 
     /// Numbers the marked nodes and completes rows and cells.
     fn number(&mut self, tables: &mut Tables) {
-        let (origin, across) = (self.origin() as i32, self.across[0]);
+        let (origin, across) = (origin(self.levels) as i32, self.across[0]);
         let level = &mut tables.levels[0];
         for (row, nodes) in self.nodes[0].chunks_exact_mut(across).enumerate() {
             let begun = level.at.len() as u32;
@@ -178,7 +169,7 @@ impl Maps {
     /// Numbers the nodes of a level from those of the next finer level.
     fn coarsen(&mut self, number: usize, tables: &mut Tables) {
         let [finer, level] = [number - 1, number].map(|number| self.across[number]);
-        let origin = (self.origin() >> number) as i32;
+        let origin = (origin(self.levels) >> number) as i32;
         let (below, nodes) = self.nodes.split_at_mut(number);
         let (below, nodes) = (&below[number - 1], &mut nodes[0]);
         let (fine, coarse) = tables.levels.split_at_mut(number);
@@ -208,13 +199,26 @@ impl Maps {
     /// Finds the neighbours of each node of a level.
     fn connect(&self, number: usize, level: &mut Level) {
         let (across, nodes) = (self.across[number], &self.nodes[number]);
-        let origin = (self.origin() >> number) as i32;
+        let origin = (origin(self.levels) >> number) as i32;
         level.neighbours.extend(level.at.iter().map(|&[a, b]| {
             let [column, row] = [a, b].map(|cell| (cell + origin) as usize);
             let first = (row - 1) * across + column - 1;
             std::array::from_fn(|place| nodes[first + place / 3 * across + place % 3])
         }));
     }
+}
+
+/// Index of node 0 in the maps of level 0 of a grid of so many levels. A multiple of the coarsest level's cell, so that a parent's
+/// index is half of its child's, and so large that no neighbour's index is negative at any level.
+pub fn origin(levels: usize) -> usize {
+    1 << levels
+}
+
+/// Columns and rows of the map of level 0 of a domain of this size (cells): the last node is one beyond the domain's end and
+/// has a neighbour at each of so many levels.
+pub fn map_extent(cells: [f32; 2], levels: usize) -> [usize; 2] {
+    let coarsest = 1 << (levels - 1);
+    cells.map(|cells| ((cells.ceil() as usize + 1 + origin(levels)) / coarsest + 2) * coarsest)
 }
 
 /// Weights of three nodes by the quadratic spline, at a distance `x` of 0.5 to 1.5 from the first (cells).
