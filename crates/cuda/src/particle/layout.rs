@@ -301,8 +301,8 @@ impl Layout {
             add(&mut all, named(layout::names("encoder.1")), four(encoder), &plain, 1),
         ];
         let layers = &constants.grid;
-        let grid = layers.iter();
-        let grid = grid
+        let grid = layers
+            .iter()
             .map(|layer| {
                 let GridLayer { name, stencil, channels: [group, _], lists: [from, to], .. } =
                     layer;

@@ -9,8 +9,7 @@ use std::sync::{
 
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint,
-    checkpoint::grid::MAX_LISTS,
+    checkpoint::{self, grid::MAX_LISTS},
     engine::{Ballistic, StreamStart},
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
