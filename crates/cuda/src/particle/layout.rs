@@ -318,16 +318,11 @@ impl Layout {
                 let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
                 let gathered = constants.nodes * odd(rows);
                 let sums = (parts - 1) * constants.nodes * columns;
-                let rectified = i32::from(layer.rectified);
+                let rectified = usize::from(layer.rectified);
                 let level = layer.node_level();
                 NodeLayer {
-                    numbers: [places, level, *from, *to, skip, inner, outputs]
-                        .map(|number| number as i32)
-                        .into_iter()
-                        .chain([rectified])
-                        .collect::<Vec<_>>()
-                        .try_into()
-                        .unwrap_or_default(),
+                    numbers: [places, level, *from, *to, skip, inner, outputs, rectified]
+                        .map(|number| number as i32),
                     first,
                     parts,
                     shared: 4 * gathered.max(sums),

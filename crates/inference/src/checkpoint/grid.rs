@@ -95,7 +95,9 @@ pub fn grid_layers(grid: &GridOptions) -> Vec<GridLayer> {
         add(level, "up", Stencil::Parent, Some(last[level]));
         add(level, if level == 0 { "c" } else { "b" }, Stencil::Neighbours, None);
     }
-    layers.iter_mut().last().into_iter().for_each(|last| last.rectified = false);
+    if let Some(last) = layers.last_mut() {
+        last.rectified = false;
+    }
     layers
 }
 
