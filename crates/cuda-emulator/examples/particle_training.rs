@@ -40,9 +40,10 @@ fn main() -> Result<()> {
     for gpu in list()? {
         println!("{gpu:?}");
     }
-    match std::env::args().nth(1).as_deref() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.first().map(String::as_str) {
         Some("check") => check(),
-        Some("time") => time(),
+        Some("time") => time(&arguments[1..]),
         Some("profile") => profile(),
         Some("once") => once(),
         _ => Err("expected check, time, profile or once".into()),
@@ -189,8 +190,10 @@ fn check() -> Result<()> {
     Ok(())
 }
 
-fn time() -> Result<()> {
-    for core in Core::ALL {
+/// Of the named cores, of all by default.
+fn time(names: &[String]) -> Result<()> {
+    let is_named = |core: &Core| names.is_empty() || names.iter().any(|name| name == core.name());
+    for core in Core::ALL.into_iter().filter(is_named) {
         for unroll in [2, 6, 14, 24] {
             let problem = Problem::new(core, usual(), 25, settings(16, WARM_UP, unroll));
             let constants = TrainingConstants::of(&problem.description)?;
@@ -231,11 +234,13 @@ fn once() -> Result<()> {
     Ok(())
 }
 
+/// Launches of each kernel with so many blocks, and their time (ms).
+type Times = BTreeMap<(&'static str, usize), (usize, f32)>;
+
 /// A GPU that measures the time of each launch. It does not record steps as CUDA graphs, so every step launches every kernel.
 struct Timed {
     gpu: Gpu,
-    /// Launches of each kernel, and their time (ms).
-    times: Mutex<BTreeMap<&'static str, (usize, f32)>>,
+    times: Mutex<Times>,
 }
 
 impl Device for Timed {
@@ -281,7 +286,8 @@ impl Device for Timed {
         // SAFETY: guaranteed by the caller.
         let time = self.gpu.time(|| unsafe { self.gpu.launch(queue, kernel, shape, arguments) })?;
         let mut times = self.times.lock().expect("no launch panics");
-        let (launches, total) = times.entry(kernel.name()).or_default();
+        let blocks = shape.grid.iter().product();
+        let (launches, total) = times.entry((kernel.name(), blocks)).or_default();
         (*launches, *total) = (*launches + 1, *total + time);
         Ok(())
     }
@@ -314,10 +320,10 @@ fn profile() -> Result<()> {
         let times = timed.times.lock().expect("no launch panics");
         let mut kernels: Vec<_> = times.iter().collect();
         kernels.sort_by(|(_, (_, a)), (_, (_, b))| b.total_cmp(a));
-        println!("a step with {unroll} free frames: kernel, launches, ms, us a launch");
-        for (kernel, (launches, time)) in kernels {
+        println!("a step with {unroll} free frames: kernel, blocks, launches, ms, us a launch");
+        for ((kernel, blocks), (launches, time)) in kernels {
             let each = 1e3 * time / *launches as f32;
-            println!("{kernel:24} {:4} {:7.3} {each:7.1}", launches / 10, time / 10.0);
+            println!("{kernel:24} {blocks:6} {:4} {:7.3} {each:7.1}", launches / 10, time / 10.0);
         }
     }
     Ok(())

@@ -1,12 +1,14 @@
 // Runs the kernels' text on the CPU, for tests on machines without a GPU: a fiber per CUDA thread, the blocks of a
-// grid one after the other. `__shared__` is static memory, `__syncthreads` lets every other fiber of the block come
-// as far. The file is compiled behind the constants and in front of `EMULATED_KERNELS`, which the caller writes.
+// grid one after the other. `__shared__` is static memory; `__syncthreads` waits for every fiber of the block, what a
+// warp does together for every fiber of the warp. The file is compiled behind the constants and in front of `EMULATED_KERNELS`, which the caller writes.
 #include <setjmp.h>
 #include <ucontext.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <functional>
 #include <type_traits>
@@ -22,7 +24,8 @@
 #define __restrict__
 #define __align__(n) alignas(n)
 #define DYNAMIC_SHARED(type, name) type* name = (type*)dynamic_shared
-#define __syncthreads() meet()
+#define __syncthreads() wait_for(FOR_BLOCK)
+#define __syncwarp() wait_for(FOR_WARP)
 
 struct Dim { unsigned x, y, z; };
 static Dim threadIdx, blockIdx, blockDim, gridDim;
@@ -54,15 +57,17 @@ static unsigned long long atomicAdd(unsigned long long* to, unsigned long long b
   return before;
 }
 
-// A warp's exchange of numbers: all threads of a block take part as often.
-static void meet();
+// Whom a fiber waits for.
+enum Wait { FOR_NOBODY, FOR_WARP, FOR_BLOCK };
+static void wait_for(Wait whom);
+// A warp's exchange of numbers.
 static float lanes[1024][6];
 static unsigned thread_number() { return threadIdx.y * blockDim.x + threadIdx.x; }
 static float exchange_lanes(float v, int mask) {
   lanes[thread_number()][0] = v;
-  meet();
+  wait_for(FOR_WARP);
   const float found = lanes[thread_number() ^ mask][0];
-  meet();
+  wait_for(FOR_WARP);
   return found;
 }
 // TF32: 10 bits of mantissa; the tensor cores ignore the others.
@@ -79,14 +84,14 @@ static void multiply_fragments(float* c, const float* a, const float* b) {
   const unsigned self = thread_number(), warp = self & ~31u, row = (self & 31) >> 2, pair = self & 3;
   for (int i = 0; i < 4; i++) lanes[self][i] = masked(a[i], 0);
   for (int i = 0; i < 2; i++) lanes[self][4 + i] = masked(b[i], 0);
-  meet();
+  wait_for(FOR_WARP);
   for (int i = 0; i < 4; i++)
     for (unsigned k = 0; k < 8; k++) {
       const float left = lanes[warp + 4 * row + (k & 3)][(i >> 1) + 2 * (k >> 2)];
       const float right = lanes[warp + 4 * (2 * pair + (i & 1)) + (k & 3)][4 + (k >> 2)];
       c[i] += left * right;
     }
-  meet();
+  wait_for(FOR_WARP);
 }
 
 // A fiber serves the threads of one number in all blocks, one after the other. It is entered once; then jumps, which
@@ -96,20 +101,22 @@ struct Fiber {
   char* stack;
   jmp_buf resume;
   bool begun, over;
+  Wait waits;
 };
 static std::vector<Fiber> fibers;
 static jmp_buf scheduler;
 static unsigned current;
 static const std::function<void()>* body;
 
-static void meet() {
+static void wait_for(Wait whom) {
+  fibers[current].waits = whom;
   if (!_setjmp(fibers[current].resume)) _longjmp(scheduler, 1);
 }
 static void run_fiber() {
   for (;;) {
     (*body)();
     fibers[current].over = true;
-    meet();
+    wait_for(FOR_NOBODY);
   }
 }
 // Goes on with the current fiber, until it waits or is over.
@@ -127,12 +134,31 @@ static __attribute__((noinline)) void resume() {
   setcontext(&context);
 }
 
+// Goes on with the fibers of a warp, until all wait for the block or are over: whether any waits.
+static bool run_warp(unsigned first, unsigned end) {
+  for (;;) {
+    unsigned in_warp = 0, in_block = 0;
+    for (current = first; current < end; current++) {
+      if (fibers[current].over) continue;
+      threadIdx = {current % blockDim.x, current / blockDim.x, 0};
+      if (fibers[current].waits == FOR_NOBODY) resume();
+      if (fibers[current].over) continue;
+      (fibers[current].waits == FOR_WARP ? in_warp : in_block)++;
+    }
+    if (!in_warp) return in_block;
+    if (in_block) {
+      fprintf(stderr, "threads of a warp wait for the block, others for the warp\n");
+      abort();
+    }
+    for (unsigned i = first; i < end; i++) fibers[i].waits = FOR_NOBODY;
+  }
+}
 static void run(const unsigned* grid, const unsigned* block, const std::function<void()>& work) {
   gridDim = {grid[0], grid[1], grid[2]};
   blockDim = {block[0], block[1], 1};
   const unsigned threads = block[0] * block[1];
   body = &work;
-  while (fibers.size() < threads) fibers.push_back({new char[STACK], {}, false, false});
+  while (fibers.size() < threads) fibers.push_back({new char[STACK], {}, false, false, FOR_NOBODY});
   for (unsigned z = 0; z < grid[2]; z++)
     for (unsigned y = 0; y < grid[1]; y++)
       for (unsigned x = 0; x < grid[0]; x++) {
@@ -140,12 +166,8 @@ static void run(const unsigned* grid, const unsigned* block, const std::function
         for (unsigned i = 0; i < threads; i++) fibers[i].over = false;
         for (bool any = true; any;) {
           any = false;
-          for (current = 0; current < threads; current++) {
-            if (fibers[current].over) continue;
-            threadIdx = {current % block[0], current / block[0], 0};
-            resume();
-            any = true;
-          }
+          for (unsigned i = 0; i < threads; i++) fibers[i].waits = FOR_NOBODY;
+          for (unsigned first = 0; first < threads; first += 32) any |= run_warp(first, min(first + 32, threads));
         }
       }
 }

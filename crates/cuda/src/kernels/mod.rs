@@ -44,6 +44,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("observed.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
+    include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
     include_str!("particle_training/layers.cu"),
@@ -253,8 +254,8 @@ kernels! {
     TrainDecode = "train_decode",
     /// Predicted frames and their squared errors.
     TrainAdvance = "train_advance",
-    /// Matrices for the way back.
-    TrainTurn = "train_turn",
+    /// Matrices for the way forwards.
+    TrainTranspose = "train_transpose",
     /// Gradient by the decoder's output.
     TrainOutputGradient = "train_output_gradient",
     /// Through decoder and core.

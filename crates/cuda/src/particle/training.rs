@@ -8,21 +8,25 @@
 //! | stage | a block has | reads | writes |
 //! |---|---|---|---|
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
-//! | encode | a tile of particles | particles, links | features, encoded `[n, C0]` |
+//! | encode | 16 particles a warp | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
-//! | layers on nodes | a few nodes | a field | the next field |
-//! | decode | a tile of particles | the last field, features, states | states, outputs |
+//! | layers on the finest nodes | 16 nodes a warp | a field | the next field |
+//! | all layers on coarser nodes | a frame of a window | fields | fields |
+//! | decode | 16 particles a warp | the last field, features, states | states, outputs |
 //! | advance | 256 particles | outputs, trajectories | the next frame's particles, squares of errors |
+//!
+//! Products run on tensor cores, with factors in two parts (`products.cu`): their errors are those of FP32.
 //!
 //! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.
 //! 2. `plan`: the memory of a step.
-//! 3. `forward`, `backward`: its phases. `weights`: the gradients by the weights.
+//! 3. `forward`, `backward`: its phases, with `nodes`: the layers on nodes. `weights`: the gradients by the weights.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
 mod backward;
 mod forward;
 mod layout;
+mod nodes;
 mod plan;
 mod store;
 mod weights;
@@ -35,6 +39,7 @@ pub use layout::TrainingConstants;
 pub use store::{Store, StoreWriter};
 
 use layout::Layout;
+use nodes::NodeLayers;
 use plan::Memory;
 use weights::Outers;
 
@@ -56,9 +61,10 @@ pub struct Training {
     optimizer: Optimizer,
     tables: Tables,
     memory: Memory,
-    /// The matrices for the way back, and what they are made of.
-    turned: Buffer,
-    turns: Buffer,
+    /// The matrices for the way forwards, and what they are made of.
+    transposed: Buffer,
+    matrices: Buffer,
+    node_layers: NodeLayers,
     outers: Outers,
     graph: Graphs<()>,
 }
@@ -79,11 +85,14 @@ impl Training {
         let layout = Layout::new(&constants);
         let tables = Tables::new(&device, settings, true)?;
         let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
-        let turns = layout.turns(&constants.network.grid);
-        let training = Self {
-            optimizer: Optimizer::new(&device, &layout.packing, settings)?,
-            turned: device.allocate(4 * layout.packing.size)?,
-            turns: device.allocate(size_of_val(turns.as_slice()))?,
+        let optimizer = Optimizer::new(&device, &layout.packing, settings)?;
+        let transposed = device.allocate(4 * layout.packing.size)?;
+        let list = layout.transposed();
+        let matrices = device.allocate(size_of_val(list.as_slice()))?;
+        device.write(&matrices, 0, bytemuck::cast_slice(&list))?;
+        let addresses = [transposed.address(), optimizer.weights.address()];
+        Ok(Self {
+            node_layers: NodeLayers::new(&layout, &constants, &memory.plan, addresses),
             outers: Outers::new(&*device, &layout, &constants, &memory.plan, settings)?,
             graph: Graphs::new(1),
             settings: settings.clone(),
@@ -92,10 +101,11 @@ impl Training {
             constants,
             layout,
             store,
+            optimizer,
+            transposed,
+            matrices,
             device,
-        };
-        training.device.write(&training.turns, 0, bytemuck::cast_slice(&turns))?;
-        Ok(training)
+        })
     }
 
     fn frames(&self) -> usize {
@@ -103,8 +113,18 @@ impl Training {
     }
 
     fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
+        self.launch_in(Queue::Main, kernel, shape, arguments)
+    }
+
+    fn launch_in(
+        &self,
+        queue: Queue,
+        kernel: Kernel,
+        shape: Shape,
+        arguments: &[Argument],
+    ) -> Result<()> {
         // SAFETY: every call passes the kernel's parameters in type and order, and buffers that `new` has made for these shapes.
-        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+        unsafe { self.device.launch(queue, kernel, shape, arguments) }
     }
 
     /// The plan, as the first argument of kernels.
@@ -119,14 +139,14 @@ impl Training {
 
     /// Blocks over tiles of particles.
     fn tiles(&self, sheets: usize, shared: usize) -> Shape {
-        let blocks = self.store.most().div_ceil(self.constants.tile);
-        Shape { shared, ..Shape::new(blocks, sheets, TILE_THREADS) }
+        let blocks = self.store.most().div_ceil(self.constants.tile());
+        Shape { shared, ..Shape::new(blocks, sheets, self.constants.warps * WARP) }
     }
 
     /// Puts a whole step into the queue.
     fn step(&self) -> Result<()> {
         let Settings { batch, warm_up, noise: [positions, velocities], .. } = self.settings;
-        self.turn()?;
+        self.transpose()?;
         let shape = Self::over(self.store.most(), plan::PARTICLE_THREADS, warm_up * batch);
         let arguments = [self.plan(), positions.into(), velocities.into()];
         self.launch(Kernel::TrainObserve, shape, &arguments)?;
@@ -137,14 +157,25 @@ impl Training {
         for carried in &self.memory.carried {
             self.device.clear(Queue::Main, carried)?;
         }
-        segments.iter().rev().try_for_each(|&(first, frames)| self.backward(first, frames))?;
+        // The gradients by weights fill processors that the way back leaves idle.
+        let mut end = self.outers.splits;
+        for &(first, frames) in segments.iter().rev() {
+            self.backward(first, frames)?;
+            let begun = self.outers.shares_from(first, self.frames());
+            if begun < end {
+                self.device.wait(Queue::Side, Queue::Main)?;
+                self.add_gradients(begun, end - begun)?;
+                end = begun;
+            }
+        }
+        self.device.wait(Queue::Main, Queue::Side)?;
         self.learn()?;
         self.optimizer.finish(&self.tables)
     }
 }
 
-/// Threads of a block that has a tile of particles, `THREADS` of the kernels.
-const TILE_THREADS: usize = 128;
+/// Threads of a warp.
+const WARP: usize = 32;
 
 /// What steps of the particle model on a GPU cannot do, and the largest numbers of blocks.
 fn check(settings: &Settings) -> Result<()> {

@@ -13,7 +13,7 @@ extern "C" __global__ void __launch_bounds__(256) train_observe(const Plan* __re
 }
 
 // Running sums of a list by a block, `each` numbers a thread; calls take(at, value, sum before it). Returns the sum of all.
-#define CELL_THREADS 512
+#define CELL_THREADS 1024
 template <class Take> __device__ __forceinline__ u32 running_sums(const u32* from, u32 size, u32 (*sums)[CELL_THREADS], Take take) {
   const u32 each = (size + CELL_THREADS - 1) / CELL_THREADS, begin = threadIdx.x * each, end = min(begin + each, size);
   u32 own = 0;
@@ -87,6 +87,18 @@ extern "C" __global__ void __launch_bounds__(CELL_THREADS) train_cells(const Pla
   }
   for (u32 p = threadIdx.x; p < n; p += CELL_THREADS) unsorted[starts[cell_of[p]] + arrivals[p]] = p;
   __syncthreads();
+  for (int level = 0; level < LEVELS; level++) {
+    const u32 *list = s.lists[level] + (size_t)sheet * s.nodes[level], *map = s.maps[level] + (size_t)sheet * s.entries[level];
+    const u32 total = s.totals[sheet * LEVELS + level];
+    u32* around = s.around[level] + (size_t)sheet * s.nodes[level] * STENCIL;
+#pragma unroll 4
+    for (u32 i = threadIdx.x; i < total * STENCIL; i += CELL_THREADS) around[i] = map[list[i / STENCIL] + neighbour_step(s, level, i % STENCIL)];
+    if (!level) continue;
+    const u32* finer = s.maps[level - 1] + (size_t)sheet * s.entries[level - 1];
+    u32* children = s.children[level] + (size_t)sheet * s.nodes[level] * CHILDREN;
+#pragma unroll 4
+    for (u32 i = threadIdx.x; i < total * CHILDREN; i += CELL_THREADS) children[i] = finer[child_entry(s, level, list[i / CHILDREN], i % CHILDREN)];
+  }
   // By their number: each counts those of its cell with a smaller one.
   for (u32 from = threadIdx.x; from < n; from += CELL_THREADS) {
     const u32 p = unsorted[from], begin = starts[cell_of[p]], end = starts[cell_of[p] + 1];
@@ -102,12 +114,17 @@ extern "C" __global__ void __launch_bounds__(CELL_THREADS) train_cells(const Pla
   }
 }
 
-// Sums over the particles around a node, in the order of their slots; `mass` is the sum of the weights.
+// Sums over the particles around a node, `mass` that of the weights. A warp has a share of a row of stencils; the first one has the
+// sums of all.
 struct NodeSum { float4 sum; float mass; };
+#define SUM_SHARES 2
+#define SUM_THREADS (SUM_SHARES * STENCIL_ROWS * WARP)
 __device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entry, const float* values, int stride, int quad) {
-  NodeSum found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
+  __shared__ NodeSum sums[SUM_SHARES * STENCIL_ROWS][WARP];
   const u32* starts = s.starts + (size_t)sheet * (s.entries[0] + 1);
-  for (int row = 0; row < STENCIL_ROWS; row++) {
+  const int warp = threadIdx.x / WARP, row = warp / SUM_SHARES, share = warp % SUM_SHARES;
+  NodeSum found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
+  if (entry != MISSING) {
     // This is node (i, row) of the stencil of the cell i further left.
     u32 last = entry;
     for (int a = 1, rest = row; a < DIM; a++) {
@@ -115,8 +132,9 @@ __device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entr
       rest /= 3;
     }
     const u32 begin = starts[last - 2], middle = starts[last - 1], right = starts[last], end = starts[last + 1];
-#pragma unroll 4
-    for (u32 slot = begin; slot < end; slot++) {
+    const u32 half = begin + (end - begin) * share / SUM_SHARES, next = begin + (end - begin) * (share + 1) / SUM_SHARES;
+#pragma unroll 8
+    for (u32 slot = half; slot < next; slot++) {
       const size_t at = particle_row(s, sheet, slot);
       const float (*weights)[3] = (const float (*)[3])(s.weights + at * (3 * DIM));
       const float weight = weights[0][slot < middle ? 2 : (slot < right ? 1 : 0)] * row_weight(weights, row);
@@ -129,21 +147,39 @@ __device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entr
       found.sum.w = fmaf(weight, value.w, found.sum.w);
     }
   }
+  sums[warp][lane_of()] = found;
+  __syncthreads();
+  found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
+#pragma unroll
+  for (int other = 0; other < SUM_SHARES * STENCIL_ROWS; other++) {
+    const NodeSum part = sums[other][lane_of()];
+    found.sum.x += part.sum.x;
+    found.sum.y += part.sum.y;
+    found.sum.z += part.sum.z;
+    found.sum.w += part.sum.w;
+    found.mass += part.mass;
+  }
   return found;
 }
+// A node of a sheet in the map of level 0, or MISSING.
+__device__ __forceinline__ u32 entry_of(const Plan& s, int sheet, u32 node) {
+  return node < s.totals[sheet * LEVELS] ? s.lists[0][(size_t)sheet * s.nodes[0] + node] : MISSING;
+}
+// Whether a block with so many items a node has none.
+__device__ __forceinline__ bool is_beyond(const Plan& s, int sheet, u32 items) { return blockIdx.x * WARP / items >= s.totals[sheet * LEVELS]; }
 
-// Means of the encoder's outputs on the nodes of sheets from `first` on, then mass and proximity to walls. A thread has four
-// numbers of a node. grid (ceil(nodes (C04 / 4 + 1) / 128), sheets), block 128
+// Means of the encoder's outputs on the nodes of sheets from `first` on, then mass and proximity to walls: four numbers of a node at
+// a time. grid (ceil(nodes (C04 / 4 + 1) / WARP), sheets), block SUM_THREADS
 #define QUADS (C04 / 4)
-extern "C" __global__ void __launch_bounds__(128) train_to_nodes(const Plan* __restrict__ plan, int first) {
+extern "C" __global__ void __launch_bounds__(SUM_THREADS) train_to_nodes(const Plan* __restrict__ plan, int first) {
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, item = blockIdx.x * 128 + threadIdx.x, quad = item % (QUADS + 1);
-  const u32 node = item / (QUADS + 1);
-  if (node >= s.totals[sheet * LEVELS]) return;
-  const u32 entry = s.lists[0][(size_t)sheet * s.nodes[0] + node];
-  float* to = s.fields[0] + ((size_t)sheet * s.nodes[0] + node) * INPUT4;
+  const int sheet = first + blockIdx.y, item = blockIdx.x * WARP + lane_of(), quad = item % (QUADS + 1);
+  const u32 node = item / (QUADS + 1), entry = entry_of(s, sheet, node);
+  if (is_beyond(s, sheet, QUADS + 1)) return;
   const float* encoded = s.encoded + particle_row(s, sheet, 0) * C04;
   const NodeSum found = sum_around(s, sheet, entry, encoded, C04, quad < QUADS ? quad : -1);
+  if (threadIdx.x >= WARP || entry == MISSING) return;
+  float* to = s.fields[0] + ((size_t)sheet * s.nodes[0] + node) * INPUT4;
   if (quad < QUADS) {
     const float scale = 1.0f / (found.mass + MIN_MASS);
     const float means[4] = {found.sum.x * scale, found.sum.y * scale, found.sum.z * scale, found.sum.w * scale};
@@ -165,33 +201,35 @@ extern "C" __global__ void __launch_bounds__(128) train_to_nodes(const Plan* __r
     for (int side = 0; side < 2; side++) to[C0 + 1 + DIM * side + a] = exponential(-fmaxf(sides[side], 0.0f) / s.width);
   }
 }
-// The gradient by what particles gather: sums over the particles around each node. grid (ceil(nodes C04 / 4 / 128), sheets), block 128
-extern "C" __global__ void __launch_bounds__(128) train_gather_gradient(const Plan* __restrict__ plan, int first) {
+// The gradient by what particles gather: sums over the particles around each node. grid (ceil(nodes C04 / 4 / WARP), sheets), block
+// SUM_THREADS
+extern "C" __global__ void __launch_bounds__(SUM_THREADS) train_gather_gradient(const Plan* __restrict__ plan, int first) {
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, item = blockIdx.x * 128 + threadIdx.x, quad = item % QUADS;
-  const u32 node = item / QUADS;
-  if (node >= s.totals[sheet * LEVELS]) return;
-  const u32 entry = s.lists[0][(size_t)sheet * s.nodes[0] + node];
+  const int sheet = first + blockIdx.y, item = blockIdx.x * WARP + lane_of(), quad = item % QUADS;
+  const u32 node = item / QUADS, entry = entry_of(s, sheet, node);
+  if (is_beyond(s, sheet, QUADS)) return;
   const float* by_gathered = s.by_inputs + particle_row(s, blockIdx.y, 0) * CONCAT + F4;
   const NodeSum found = sum_around(s, sheet, entry, by_gathered, CONCAT, quad);
+  if (threadIdx.x >= WARP || entry == MISSING) return;
   *(float4*)(s.slopes[FIELDS - 1] + ((size_t)sheet * s.nodes[0] + node) * C04 + 4 * quad) = found.sum;
 }
 // From the gradient by what layers read of the nodes to the ones by the sums over particles, and by the mass in the place of its
-// share, in place. A thread has a node. grid (ceil(nodes / 128), sheets), block 128
+// share, in place. Eight threads have a node. grid (ceil(nodes / 16), sheets), block 128
 extern "C" __global__ void __launch_bounds__(128) train_means_gradient(const Plan* __restrict__ plan, int first) {
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y;
-  const u32 node = blockIdx.x * 128 + threadIdx.x;
-  if (node >= s.totals[sheet * LEVELS]) return;
+  const int sheet = first + blockIdx.y, member = threadIdx.x % 8;
+  const u32 node = blockIdx.x * 16 + threadIdx.x / 8;
+  const bool is = node < s.totals[sheet * LEVELS];
   const size_t at = ((size_t)sheet * s.nodes[0] + node) * INPUT4;
   const float* means = s.fields[0] + at;
   float* by = s.slopes[0] + at;
-  const float scale = 1.0f / (multiply_rounded(means[C0], FULL_MASS) + MIN_MASS);
+  const float scale = is ? 1.0f / (multiply_rounded(means[C0], FULL_MASS) + MIN_MASS) : 0.0f;
   float sum = 0.0f;
-#pragma unroll 4
-  for (int c = 0; c < C0; c++) {
-    sum = fmaf(by[c], means[c], sum);
-    by[c] *= scale;
-  }
-  by[C0] = by[C0] / FULL_MASS - scale * sum;
+  if (is)
+    for (int c = member; c < C0; c += 8) {
+      sum = fmaf(by[c], means[c], sum);
+      by[c] *= scale;
+    }
+  for (int mask = 4; mask; mask /= 2) sum += shuffle_xor(sum, mask);
+  if (is && member == 0) by[C0] = by[C0] / FULL_MASS - scale * sum;
 }

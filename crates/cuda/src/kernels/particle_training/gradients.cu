@@ -80,12 +80,26 @@ __device__ __forceinline__ float unit_gradient(float* sums, float by, float last
 #endif
 }
 
-// Through decoder, mixer, core and context, for some frames of all windows, the last one first. `w` has the turned matrices in
-// the order of `train_decode`. grid (ceil(most / LEARN_TILE), B), block THREADS, shared memory: rows of the input, two lists of
-// rows of units, rows of sums
-extern "C" __global__ void __launch_bounds__(THREADS) train_decode_gradient(const Plan* __restrict__ plan, const float* __restrict__ w, int first, int frames) {
+// Where a tile's numbers of a layer with ReLU are not positive, there is no gradient by its sums; nor where there is no particle.
+__device__ __forceinline__ void mask_tile(const Tile& tile, float* by, int stride, const float* outputs, int width) {
+  for (int i = lane_of(); i < WARP_ROWS * (width / 4); i += WARP) {
+    const int row = i / (width / 4), k = i % (width / 4) * 4;
+    const float4 output = quad_of(outputs + (size_t)row * width + k, row < tile.count);
+    float4& own = *(float4*)(by + row * stride + k);
+    if (!(output.x > 0.0f)) own.x = 0.0f;
+    if (!(output.y > 0.0f)) own.y = 0.0f;
+    if (!(output.z > 0.0f)) own.z = 0.0f;
+    if (!(output.w > 0.0f)) own.w = 0.0f;
+  }
+}
+
+// Through decoder, mixer, core and context, for some frames of all windows, the last one first. `w` has the matrices in the order
+// of `train_decode`. grid (ceil(most / (LEARN_WARPS WARP_ROWS)), B), block LEARN_THREADS, shared memory: of each row the core's sums or the
+// input, two lists of units
+extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode_gradient(const Plan* __restrict__ plan, const float* __restrict__ w, int first, int frames) {
   DYNAMIC_SHARED(float, shared);
-  float *wide = shared, *x = wide + LEARN_TILE * LEARN_WIDE, *y = x + LEARN_TILE * LEARN_NARROW, *slots = y + LEARN_TILE * LEARN_NARROW;
+  float *slots = rows_of_warp(shared, LEARN_LONGEST + 2 * LEARN_NARROW), *wide = slots;
+  float *x = slots + WARP_ROWS * LEARN_LONGEST, *y = x + WARP_ROWS * LEARN_NARROW;
   const Plan& s = *plan;
   const int all = frames_of(s);
   const Tile tile = tile_of(s, blockIdx.y);
@@ -95,80 +109,80 @@ extern "C" __global__ void __launch_bounds__(THREADS) train_decode_gradient(cons
     const int sheet = t * s.batch + tile.b;
     const size_t at = particle_row(s, sheet, tile.begin), here = particle_row(s, (t - first) * s.batch + tile.b, tile.begin);
     load_tile(tile, x, LEARN_NARROW, s.output + at * OUT4, OUT4);
-    __syncthreads();
-    tile_product<LEARN_TILE, false>(x, LEARN_NARROW, y, LEARN_NARROW, mixer + MIXER_SIZE, OUT4, H4, false);
-    __syncthreads();
-    for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
-      const int row = i / H4, unit = i % H4;
-      float& by = y[row * LEARN_NARROW + unit];
-      if (row >= tile.count || !(s.mixed[(at + row) * H4 + unit] > 0.0f)) by = 0.0f;
-    }
-    __syncthreads();
+    __syncwarp();
+    tile_gradient(x, LEARN_NARROW, y, LEARN_NARROW, mixer + MIXER_SIZE, H4, OUT4);
+    __syncwarp();
+    mask_tile(tile, y, LEARN_NARROW, s.mixed + at * H4, H4);
+    __syncwarp();
     store_tile(tile, s.by_mixed + at * H4, H4, y, LEARN_NARROW);
-    tile_product<LEARN_TILE, false>(y, LEARN_NARROW, x, LEARN_NARROW, mixer, H4, H4, false);
+    tile_gradient(y, LEARN_NARROW, x, LEARN_NARROW, mixer, H4, H4);
     for (int layer = LAYERS - 1; layer >= 0; layer--) {
       const float* matrix = w + CONTEXT_SIZE + layer * CORE_SIZE;
       const size_t before = layer_row(s, layer, (all + 1) * s.batch, sheet, tile.begin), after = before + (size_t)s.batch * s.most;
       const size_t gates_at = layer_row(s, layer, all * s.batch, sheet, tile.begin), carried = layer_row(s, layer, s.batch, tile.b, tile.begin);
-      __syncthreads();
-      for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
-        const int row = i / H4, unit = i % H4;
-        float sums[GATE_SUMS];
+      __syncwarp();
+      for (int i = lane_of(); i < WARP_ROWS * (H4 / 4); i += WARP) {
+        const int row = i / (H4 / 4), unit = i % (H4 / 4) * 4;
+        float sums[GATE_SUMS][4];
 #pragma unroll
-        for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate] = 0.0f;
+        for (int gate = 0; gate < GATE_SUMS; gate++)
+#pragma unroll
+          for (int u = 0; u < 4; u++) sums[gate][u] = 0.0f;
         if (row < tile.count) {
           const size_t number = (carried + row) * H4 + unit;
           float* own = s.gates + (gates_at + row) * SLOTS + unit;
+          float by[4] = {0.0f, 0.0f, 0.0f, 0.0f}, last[4], output[4], cell_before[4], cell[4], by_cell[4];
 #pragma unroll
-          for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate] = own[gate * H4];
-          const float by = x[row * LEARN_NARROW + unit] + (CORE ? s.by_output[number] : 0.0f);
-          const float last = s.outputs[(before + row) * H4 + unit], output = s.outputs[(after + row) * H4 + unit];
-          float cell_before = 0.0f, cell = 0.0f, by_cell = 0.0f;
+          for (int gate = 0; gate < GATE_SUMS; gate++) load_units<4>(own + gate * H4, sums[gate]);
+          if (CORE) load_units<4>(s.by_output + number, by);
+          load_units<4>(s.outputs + (before + row) * H4 + unit, last);
+          load_units<4>(s.outputs + (after + row) * H4 + unit, output);
 #if CORE == 4
-          cell_before = s.cells[(before + row) * H4 + unit];
-          cell = s.cells[(after + row) * H4 + unit];
-          by_cell = s.by_cell[number];
-#endif
-          const float direct = unit_gradient(sums, by, last, output, cell_before, cell, &by_cell);
-          if (CORE) s.by_output[number] = direct;
-#if CORE == 4
-          s.by_cell[number] = by_cell;
+          load_units<4>(s.cells + (before + row) * H4 + unit, cell_before);
+          load_units<4>(s.cells + (after + row) * H4 + unit, cell);
+          load_units<4>(s.by_cell + number, by_cell);
 #endif
 #pragma unroll
-          for (int gate = 0; gate < GATE_SUMS; gate++) own[gate * H4] = sums[gate];
+          for (int u = 0; u < 4; u++) {
+            float one[GATE_SUMS];
+#pragma unroll
+            for (int gate = 0; gate < GATE_SUMS; gate++) one[gate] = sums[gate][u];
+            by[u] = unit_gradient(one, by[u] + x[row * LEARN_NARROW + unit + u], last[u], output[u], cell_before[u], cell[u], &by_cell[u]);
+#pragma unroll
+            for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate][u] = one[gate];
+          }
+          if (CORE) store_units(s.by_output + number, by);
+#if CORE == 4
+          store_units(s.by_cell + number, by_cell);
+#endif
+#pragma unroll
+          for (int gate = 0; gate < GATE_SUMS; gate++) store_units(own + gate * H4, sums[gate]);
         }
 #pragma unroll
-        for (int gate = 0; gate < GATE_SUMS; gate++) slots[row * ODD4(SLOTS) + gate * H4 + unit] = sums[gate];
+        for (int gate = 0; gate < GATE_SUMS; gate++) store_units(slots + row * LEARN_SLOTS + gate * H4 + unit, sums[gate]);
       }
-      __syncthreads();
+      __syncwarp();
 #if CORE >= 3
       // Of GRU, the last gate's part through the state is the last slot.
       const float* recurrent = matrix + GATES_SIZE;
-      tile_product<LEARN_TILE, false>(slots, ODD4(SLOTS), y, LEARN_NARROW, recurrent, CORE == 3 ? 2 * H4 : SLOTS, H4, false);
+      tile_product<false>(slots, LEARN_SLOTS, y, LEARN_NARROW, recurrent, CORE_COLUMNS, nullptr, CORE == 3 ? 2 * H4 : SLOTS, H4, false);
 #if CORE == 3
-      tile_product<LEARN_TILE, false>(slots + 3 * H4, ODD4(SLOTS), x, LEARN_NARROW, recurrent + 2 * H4 * H4, H4, H4, false);
+      tile_product<true>(slots + 3 * H4, LEARN_SLOTS, y, LEARN_NARROW, recurrent + 2 * H4, CORE_COLUMNS, nullptr, H4, H4, false);
 #endif
-      __syncthreads();
-      for (int i = threadIdx.x; i < tile.count * H4; i += THREADS) {
-        const int row = i / H4, unit = i % H4, place = row * LEARN_NARROW + unit;
-        s.by_output[(carried + row) * H4 + unit] += y[place] + (CORE == 3 ? x[place] : 0.0f);
-      }
-      __syncthreads();
+      __syncwarp();
+      for (int i = lane_of(); i < tile.count * H4; i += WARP) s.by_output[carried * H4 + i] += y[i / H4 * LEARN_NARROW + i % H4];
+      __syncwarp();
 #endif
-      tile_product<LEARN_TILE, false>(slots, ODD4(SLOTS), x, LEARN_NARROW, matrix, CORE_COLUMNS, H4, false);
+      tile_gradient(slots, LEARN_SLOTS, x, LEARN_NARROW, matrix, H4, CORE_COLUMNS);
     }
-    __syncthreads();
-    for (int i = threadIdx.x; i < LEARN_TILE * H4; i += THREADS) {
-      const int row = i / H4, unit = i % H4;
-      float& by = x[row * LEARN_NARROW + unit];
-      if (row >= tile.count || !(s.context[(at + row) * H4 + unit] > 0.0f)) by = 0.0f;
-    }
-    __syncthreads();
+    __syncwarp();
+    mask_tile(tile, x, LEARN_NARROW, s.context + at * H4, H4);
+    __syncwarp();
     store_tile(tile, s.by_context + at * H4, H4, x, LEARN_NARROW);
-    tile_product<LEARN_TILE, false>(x, LEARN_NARROW, wide, LEARN_WIDE, w, H4, CONCAT, false);
-    __syncthreads();
+    tile_gradient(x, LEARN_NARROW, wide, LEARN_WIDE, w, CONCAT, H4);
+    __syncwarp();
     store_tile(tile, s.by_inputs + here * CONCAT, CONCAT, wide, LEARN_WIDE);
-    __syncthreads();
+    __syncwarp();
   }
 }
 
@@ -232,76 +246,81 @@ __device__ __forceinline__ Body features_gradient(const Plan& s, int sheet, int 
 }
 
 // Through the sums on the nodes and the encoder, of sheets from `first` on; where the frame was predicted, one at a time, also
-// through the features and the places on the grid, to `by_state`. The matrices are turned.
-// grid (ceil(most / LEARN_TILE), sheets), block THREADS, shared memory: rows of outputs, of the hidden layer, of features; of
-// numbers of a stencil's nodes; each particle's stencil
-extern "C" __global__ void __launch_bounds__(THREADS) train_encode_gradient(const Plan* __restrict__ plan, const float* __restrict__ first_matrix,
+// through the features and the places on the grid, to `by_state`.
+// grid (ceil(most / (LEARN_WARPS WARP_ROWS)), sheets), block LEARN_THREADS, shared memory: of each row the outputs, the hidden layer,
+// the features, a number of each of its stencil's nodes, the stencil
+extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode_gradient(const Plan* __restrict__ plan, const float* __restrict__ first_matrix,
     const float* __restrict__ second_matrix, int first, int predicted) {
   DYNAMIC_SHARED(float, shared);
-  float *by_encoded = shared, *by_hidden = by_encoded + LEARN_TILE * ODD4(C04), *by_features = by_hidden + LEARN_TILE * ODD4(E4);
-  float* dots = by_features + LEARN_TILE * ODD4(F4);
-  Stencil* stencils = (Stencil*)(dots + LEARN_TILE * STENCIL);
+  float* by_encoded = rows_of_warp(shared, ODD4(C04) + ODD4(E4) + ODD4(F4) + STENCIL + STENCIL_NUMBERS);
+  float *by_hidden = by_encoded + WARP_ROWS * ODD4(C04), *by_features = by_hidden + WARP_ROWS * ODD4(E4);
+  float* dots = by_features + WARP_ROWS * ODD4(F4);
+  Stencil* stencils = (Stencil*)(dots + WARP_ROWS * STENCIL);
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, b = sheet % s.batch;
+  const int sheet = first + blockIdx.y, b = sheet % s.batch, lane = lane_of();
   const Tile tile = tile_of(s, b);
   if (!tile.count) return;
   const size_t at = particle_row(s, sheet, tile.begin), here = particle_row(s, blockIdx.y, tile.begin);
   const float* slopes = s.slopes[0] + (size_t)sheet * s.nodes[0] * INPUT4;
   const float* field = s.fields[FIELDS - 1] + (size_t)sheet * s.nodes[0] * C04;
-  for (int row = threadIdx.x; row < tile.count; row += THREADS) stencils[row] = stencil_of(s, sheet, s.states[at + row]);
-  __syncthreads();
-  for (int i = threadIdx.x; i < LEARN_TILE * C04; i += THREADS) {
-    const int row = i / C04, k = i % C04;
-    float sum = 0.0f;
+  if (lane < tile.count) stencils[lane] = stencil_of(s, sheet, s.states[at + lane]);
+  __syncwarp();
+  for (int i = lane; i < WARP_ROWS * (C04 / 4); i += WARP) {
+    const int row = i / (C04 / 4), k = i % (C04 / 4);
+    float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
+    if (row < tile.count) sum = gathered_quad(stencils[row], slopes, INPUT4, k);
     // Behind the channels are the mass and others.
-    if (row < tile.count && k < C0) {
-      const Stencil& own = stencils[row];
-#pragma unroll
-      for (int j = 0; j < STENCIL_ROWS; j++)
-#pragma unroll
-        for (int c = 0; c < 3; c++)
-          sum = fmaf(own.weights[0][c] * row_weight(own.weights, j), slopes[(size_t)(own.rows[j] + c) * INPUT4 + k], sum);
-    }
-    by_encoded[row * ODD4(C04) + k] = sum;
+    if (4 * k + 1 >= C0) sum.y = 0.0f;
+    if (4 * k + 2 >= C0) sum.z = 0.0f;
+    if (4 * k + 3 >= C0) sum.w = 0.0f;
+    *(float4*)(by_encoded + row * ODD4(C04) + 4 * k) = sum;
   }
-  __syncthreads();
+  __syncwarp();
   store_tile(tile, s.by_encoded + at * C04, C04, by_encoded, ODD4(C04));
-  tile_product<LEARN_TILE, false>(by_encoded, ODD4(C04), by_hidden, ODD4(E4), second_matrix, C04, E4, false);
-  __syncthreads();
-  for (int i = threadIdx.x; i < LEARN_TILE * E4; i += THREADS) {
-    const int row = i / E4, unit = i % E4;
-    float& by = by_hidden[row * ODD4(E4) + unit];
-    if (row >= tile.count || !(s.hidden[(at + row) * E4 + unit] > 0.0f)) by = 0.0f;
-  }
-  __syncthreads();
+  tile_gradient(by_encoded, ODD4(C04), by_hidden, ODD4(E4), second_matrix, E4, C04);
+  __syncwarp();
+  mask_tile(tile, by_hidden, ODD4(E4), s.hidden + at * E4, E4);
+  __syncwarp();
   store_tile(tile, s.by_hidden + at * E4, E4, by_hidden, ODD4(E4));
   if (!predicted) return;
-  tile_product<LEARN_TILE, false>(by_hidden, ODD4(E4), by_features, ODD4(F4), first_matrix, E4, F4, false);
-  // What a node's numbers add up to for a particle: of those that it gathers, and of those that it is summed up in.
-  for (int i = threadIdx.x; i < tile.count * STENCIL; i += THREADS) {
-    const int row = i / STENCIL, node = i % STENCIL;
-    const size_t place = stencils[row].rows[node / 3] + node % 3;
-    const float* gathered = s.by_inputs + (here + row) * CONCAT + F4;
-    const float* encoded = s.encoded + (at + row) * C04;
-    float sum = slopes[place * INPUT4 + C0];
-#pragma unroll 4
-    for (int c = 0; c < C0; c++) sum = fmaf(gathered[c], field[place * C04 + c], fmaf(encoded[c], slopes[place * INPUT4 + c], sum));
-    dots[i] = sum;
-  }
-  __syncthreads();
-  for (int row = threadIdx.x; row < tile.count; row += THREADS) {
-    float by[F4];
-    for (int k = 0; k < F4; k++) by[k] = by_features[row * ODD4(F4) + k] + s.by_inputs[(here + row) * CONCAT + k];
-    const Body found = features_gradient(s, sheet, b, tile.begin + row, by);
-    Body& to = s.by_state[particle_row(s, b, tile.begin + row)];
+  tile_gradient(by_hidden, ODD4(E4), by_features, ODD4(F4), first_matrix, F4, E4);
+  // What a node's numbers add up to for a particle: of those that it gathers, and of those that it is summed up in. Padding is zero
+  // in what the particle has. Eight threads have a particle.
+  for (int row = lane / 8; row < WARP_ROWS; row += WARP / 8) {
+    const bool is = row < tile.count;
+    float found[STENCIL];
 #pragma unroll
-    for (int a = 0; a < DIM; a++) {
-      float slope = 0.0f;
+    for (int node = 0; node < STENCIL; node++) found[node] = 0.0f;
+    if (is)
+      for (int c = lane % 8 * 4; c < C04; c += 32) {
+        const float4 gathered = *(const float4*)(s.by_inputs + (here + row) * CONCAT + F4 + c), encoded = *(const float4*)(s.encoded + (at + row) * C04 + c);
 #pragma unroll
-      for (int node = 0; node < STENCIL; node++) slope = fmaf(dots[row * STENCIL + node], node_slope(stencils[row], node, a), slope);
-      to.x[a] += found.x[a] + slope / s.width;
-      to.v[a] += found.v[a];
+        for (int node = 0; node < STENCIL; node++) {
+          const size_t place = stencils[row].rows[node / 3] + node % 3;
+          const float4 read = *(const float4*)(field + place * C04 + c), summed = *(const float4*)(slopes + place * INPUT4 + c);
+          found[node] += gathered.x * read.x + gathered.y * read.y + gathered.z * read.z + gathered.w * read.w + encoded.x * summed.x
+              + encoded.y * summed.y + encoded.z * summed.z + encoded.w * summed.w;
+        }
+      }
+#pragma unroll
+    for (int node = 0; node < STENCIL; node++) {
+      for (int mask = 4; mask; mask /= 2) found[node] += shuffle_xor(found[node], mask);
+      if (is && lane % 8 == 0) dots[row * STENCIL + node] = found[node] + slopes[(size_t)(stencils[row].rows[node / 3] + node % 3) * INPUT4 + C0];
     }
+  }
+  __syncwarp();
+  if (lane >= tile.count) return;
+  float by[F4];
+  for (int k = 0; k < F4; k++) by[k] = by_features[lane * ODD4(F4) + k] + s.by_inputs[(here + lane) * CONCAT + k];
+  const Body found = features_gradient(s, sheet, b, tile.begin + lane, by);
+  Body& to = s.by_state[particle_row(s, b, tile.begin + lane)];
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    float slope = 0.0f;
+#pragma unroll
+    for (int node = 0; node < STENCIL; node++) slope = fmaf(dots[lane * STENCIL + node], node_slope(stencils[lane], node, a), slope);
+    to.x[a] += found.x[a] + slope / s.width;
+    to.v[a] += found.v[a];
   }
 }
 

@@ -1,116 +1,106 @@
 // Layers on nodes, forwards and backwards, and the gradients by all weights.
 
-// What a layer gathers: the 3 x 3 around a node, its children, itself; that is written to the node, or to its children.
-#define NEIGHBOURS 0
-#define FROM_CHILDREN 1
-#define TO_CHILDREN 2
-
 struct NodeLayer {
-  const float* weights; // [inner, outputs], of TO_CHILDREN [inner, CHILDREN outputs]
+  const float* weights; // [outputs, places, width], of TO_CHILDREN [CHILDREN outputs, width]
   const float* bias;    // or none
   const float* from;    // [.., width]
   float* to;            // [.., outputs]
   const float* add;     // a list like `to` that is added, or none
   const float* mask;    // a list like `to`: where it is not positive, there is no gradient; or none
-  int stencil, level;   // level of the blocks' nodes
+  int stencil, level;   // level of the nodes that rows are made for
   int width, outputs;   // padded widths of the lists
-  int rectified, parts; // threads that share a sum
+  int rectified;
+  int row_step, place_step; // numbers from an output's weights to the next one's, from a place's to the next one's
+  int unused;
 };
-__device__ __forceinline__ int places_of(int stencil) { return stencil == NEIGHBOURS ? STENCIL : (stencil == FROM_CHILDREN ? CHILDREN : 1); }
-// The node at a place around a node of a sheet, or MISSING.
-__device__ __forceinline__ u32 node_at(const Plan& s, int sheet, int stencil, int level, u32 node, int place) {
-  if (stencil == TO_CHILDREN) return node;
-  const u32 entry = s.lists[level][(size_t)sheet * s.nodes[level] + node];
-  if (stencil == NEIGHBOURS) return s.maps[level][(size_t)sheet * s.entries[level] + entry + neighbour_step(s, level, place)];
-  return s.maps[level - 1][(size_t)sheet * s.entries[level - 1] + child_entry(s, level, entry, place)];
-}
 
-// A layer on sheets from `first` on. grid (ceil(nodes / LEARN_NODES), sheets), block 256, shared memory: LEARN_NODES rows of the
-// gathered numbers; the parts of the sums
-extern "C" __global__ void __launch_bounds__(256) train_layer(const Plan* __restrict__ plan, NodeLayer layer, int first) {
-  DYNAMIC_SHARED(float, x);
-  __shared__ u32 gathered[LEARN_NODES * STENCIL];
+// A layer on sheets from `first` on. A block has 16 nodes and 8 columns, each of its warps a share of the numbers of a row.
+// grid (nodes / 16 columns / 8, sheets), block NODE_LAYER_THREADS
+#define NODE_LAYER_WARPS 4
+#define NODE_LAYER_THREADS (NODE_LAYER_WARPS * WARP)
+// Steps of 16 numbers that a warp reads before it needs them.
+#define AHEAD 5
+extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) train_layer(const Plan* __restrict__ plan, NodeLayer layer, int first) {
+  __shared__ u32 around[WARP_ROWS * STENCIL];
+  __shared__ float4 shares[NODE_LAYER_WARPS - 1][WARP];
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, level = layer.level, quarter = LEARN_NODES / ROWS;
-  const int places = places_of(layer.stencil), spread = layer.stencil == TO_CHILDREN;
+  const int sheet = first + blockIdx.y, warp = threadIdx.x / WARP, row = fragment_row();
+  const int level = layer.level, places = places_of(layer.stencil), spread = layer.stencil == TO_CHILDREN;
   const int source = layer.stencil == FROM_CHILDREN ? level - 1 : level, target_level = spread ? level - 1 : level;
-  const u32 total = s.totals[sheet * LEVELS + level], begin = blockIdx.x * LEARN_NODES;
+  const int columns = (spread ? CHILDREN : 1) * layer.outputs, wide = (columns + 7) / 8;
+  const int begin = blockIdx.x / wide * WARP_ROWS, column = blockIdx.x % wide * 8;
+  const int total = (int)s.totals[sheet * LEVELS + level];
   if (begin >= total) return;
-  const int count = (int)min((u32)LEARN_NODES, total - begin), four = layer.width / 4, inner = places * layer.width, stride = ODD4(inner);
-  const int columns = (spread ? CHILDREN : 1) * layer.outputs, items = quarter * (columns / 4), parts = layer.parts;
-  const float* from = layer.from + (size_t)sheet * s.nodes[source] * layer.width;
-  for (int i = threadIdx.x; i < LEARN_NODES * places; i += 256)
-    gathered[i] = i / places < count ? node_at(s, sheet, layer.stencil, level, begin + i / places, i % places) : MISSING;
+  for (int i = threadIdx.x; i < WARP_ROWS * places; i += NODE_LAYER_THREADS)
+    around[i] = begin + i / places < total ? node_at(s, sheet, layer.stencil, level, begin + i / places, i % places) : MISSING;
   __syncthreads();
-#pragma unroll 4
-  for (int i = threadIdx.x; i < LEARN_NODES * places * four; i += 256) {
-    const int number = i / four, k = i % four, row = number / places, place = number % places;
-    const u32 node = gathered[number];
-    *(float4*)(x + row * stride + (place * four + k) * 4) =
-        node == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : ((const float4*)from)[(size_t)node * four + k];
+  const int width = layer.width, four = width / 4, quads = places * four, place_step = layer.place_step;
+  const float* from = layer.from + (size_t)sheet * s.nodes[source] * width;
+  const bool is_column = column + row < columns;
+  const float* weights = layer.weights + (is_column ? (column + row) * layer.row_step : 0);
+  Fragment sums = no_sums();
+  int place = (4 * warp + fragment_quad()) / four, quad = (4 * warp + fragment_quad()) % four;
+  for (int k = 4 * warp; k < quads; k += 4 * NODE_LAYER_WARPS * AHEAD) {
+    float4 upper[AHEAD], lower[AHEAD], right[AHEAD];
+#pragma unroll
+    for (int j = 0; j < AHEAD; j++) {
+      const bool is = place < places;
+      const u32 one = is ? around[row * places + place] : MISSING, other = is ? around[(row + 8) * places + place] : MISSING;
+      upper[j] = quad_of(from + (size_t)one * width + 4 * quad, one != MISSING);
+      lower[j] = quad_of(from + (size_t)other * width + 4 * quad, other != MISSING);
+      right[j] = quad_of(weights + place * place_step + 4 * quad, is && is_column);
+      for (quad += 4 * NODE_LAYER_WARPS; quad >= four; quad -= four) place++;
+    }
+#pragma unroll
+    for (int j = 0; j < AHEAD; j++)
+      if (k + 4 * NODE_LAYER_WARPS * j < quads) add_quads(sums, upper[j], lower[j], right[j]);
   }
+  float found[4];
+#pragma unroll
+  for (int i = 0; i < 4; i++) found[i] = sum_of(sums, i);
+  if (warp) shares[warp - 1][lane_of()] = float4{found[0], found[1], found[2], found[3]};
   __syncthreads();
-  for (int item = threadIdx.x; item < items * parts || parts > 1; item += 256) {
-    const int part = item / items, own = item % items, row = own % quarter, column = own / quarter * 4, at = column % layer.outputs;
-    float sums[1][ROWS][4];
-    if (part < parts) {
-      // The numbers in quadruples, shared out as evenly as they can be.
-      const int begun = inner / 4 * part / parts * 4, end = inner / 4 * (part + 1) / parts * 4;
+  if (warp) return;
 #pragma unroll
-      for (int r = 0; r < ROWS; r++)
+  for (int other = 0; other < NODE_LAYER_WARPS - 1; other++) {
+    const float4 share = shares[other][lane_of()];
+    found[0] += share.x;
+    found[1] += share.y;
+    found[2] += share.z;
+    found[3] += share.w;
+  }
+  // A thread has two columns of two rows.
+  const int own = column + 2 * fragment_quad(), at = own % layer.outputs;
+  if (own >= columns) return;
 #pragma unroll
-        for (int u = 0; u < 4; u++) sums[0][r][u] = part || !layer.bias ? 0.0f : layer.bias[at + u];
-      add_products<1, 1, 4, -1>(sums, x + row * stride + begun, quarter * stride, layer.weights + (size_t)begun * columns + column, columns, 0, end - begun);
+  for (int half = 0; half < 2; half++) {
+    const int node = begin + row + 8 * half;
+    if (node >= total) continue;
+    const u32 target = spread ? node_at(s, sheet, FROM_CHILDREN, level, node, own / layer.outputs) : node;
+    if (target == MISSING) continue;
+    const size_t to = ((size_t)sheet * s.nodes[target_level] + target) * layer.outputs + at;
+    float* pair = found + 2 * half;
+#pragma unroll
+    for (int u = 0; u < 2; u++) {
+      if (layer.bias) pair[u] += layer.bias[at + u];
+      if (layer.add) pair[u] += layer.add[to + u];
+      if (layer.mask && !(layer.mask[to + u] > 0.0f)) pair[u] = 0.0f;
+      if (layer.rectified && pair[u] < 0.0f) pair[u] = 0.0f;
     }
-    if (parts > 1) {
-      // Shared out, every thread has one item at most.
-      __syncthreads();
-      if (part > 0 && part < parts)
-#pragma unroll
-        for (int r = 0; r < ROWS; r++) *(float4*)(x + ((part - 1) * items + own) * 4 * ROWS + 4 * r) = float4{sums[0][r][0], sums[0][r][1], sums[0][r][2], sums[0][r][3]};
-      __syncthreads();
-      if (part == 0)
-        for (int other = 0; other < parts - 1; other++)
-#pragma unroll
-          for (int r = 0; r < ROWS; r++)
-#pragma unroll
-            for (int u = 0; u < 4; u++) sums[0][r][u] += x[(other * items + own) * 4 * ROWS + 4 * r + u];
-    }
-    if (part == 0) {
-#pragma unroll
-      for (int r = 0; r < ROWS; r++) {
-        const int node = row + r * quarter;
-        if (node >= count) continue;
-        u32 target = begin + node;
-        if (spread) target = node_at(s, sheet, FROM_CHILDREN, level, target, column / layer.outputs);
-        if (target == MISSING) continue;
-        const size_t place = ((size_t)sheet * s.nodes[target_level] + target) * layer.outputs + at;
-#pragma unroll
-        for (int u = 0; u < 4; u++) {
-          float sum = sums[0][r][u];
-          if (layer.add) sum += layer.add[place + u];
-          if (layer.mask && !(layer.mask[place + u] > 0.0f)) sum = 0.0f;
-          layer.to[place + u] = layer.rectified && sum < 0.0f ? 0.0f : sum;
-        }
-      }
-    }
-    if (parts > 1) break;
+    *(float2*)(layer.to + to) = float2{pair[0], pair[1]};
   }
 }
 
-// Matrices for the way back: [columns, inner] from [inner, columns]; of a 3 x 3 around a node, which is neighbour 8 - k of its
-// neighbour k, [places, columns, inner / places] with the last place first. grid (x, matrices), block 256
-struct Turn { int first, inner, columns, places; };
-extern "C" __global__ void __launch_bounds__(256) train_turn(const Turn* __restrict__ turns, const float* __restrict__ w, float* __restrict__ turned) {
-  const Turn turn = turns[blockIdx.y];
-  const int width = turn.inner / turn.places;
-  for (int i = blockIdx.x * 256 + threadIdx.x; i < turn.inner * turn.columns; i += gridDim.x * 256) {
-    const int row = i / turn.columns, column = i % turn.columns, place = turn.places - 1 - row / width;
-    turned[turn.first + (place * turn.columns + column) * width + row % width] = w[turn.first + i];
-  }
+// Matrices for the way forwards, [columns, inner] from [inner, columns], and their biases. grid (x, matrices), block 256
+struct Transposed { int first, inner, columns, unused; };
+extern "C" __global__ void __launch_bounds__(256) train_transpose(const Transposed* __restrict__ matrices, const float* __restrict__ w, float* __restrict__ transposed) {
+  const Transposed matrix = matrices[blockIdx.y];
+  const int size = matrix.inner * matrix.columns;
+  for (int i = blockIdx.x * 256 + threadIdx.x; i < size + matrix.columns; i += gridDim.x * 256)
+    transposed[matrix.first + (i < size ? i % matrix.columns * matrix.inner + i / matrix.columns : i)] = w[matrix.first + i];
 }
 
-// The gradient by a matrix: sums over rows of `x` times rows of `by`, of the windows' frames. The rows are particles, or nodes
+// Part of the gradient by a matrix: sums over rows of `x` times rows of `by`, of the windows' frames. The rows are particles, or nodes
 // whose surroundings make up a row.
 struct Outer {
   const float* x;   // [.., width]
@@ -120,100 +110,133 @@ struct Outer {
   int width, x_stride; // of x: numbers that enter, numbers from a row to the next
   int outputs, stride; // the same of `by`
   int gap;          // numbers left out before the last third of `by`
-  int parts;        // threads that share a sum
-  int rows;         // that a block has at a time, of nodes at most LEARN_NODES
-  int begun;        // squares of the matrix that other blocks have
+  int rows;         // that a block has at a time, a multiple of 8
+  int left, left_end; // rows of the matrix: those behind `x` are for its bias
+  int right, right_end; // columns
+  int unused;
 };
 #define OUTER_THREADS 256
-// parts [B, splits, size] has the sums of so many shares of each window's frames. A thread has a square of 4 x 4 numbers, and
-// behind the matrix four of its bias. grid (B splits, outers), block 256, shared memory: as many rows of both as a block has
-extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Plan* __restrict__ plan, const Outer* __restrict__ outers, float* __restrict__ parts, int splits, int size) {
+#define OUTER_WARPS (OUTER_THREADS / WARP)
+// 16 x 8 numbers of the matrix are a tile; a warp has at most so many.
+#define OUTER_TILES 8
+// Length of a row in shared memory: neighbouring rows 8 banks apart.
+__device__ __forceinline__ int outer_stride(int width) { return (width + 23) / 32 * 32 + 8; }
+// A thread's share of rows of so many quadruples: one of them, of every so many rows.
+struct Share { int quad, row, step; };
+__device__ __forceinline__ Share share_of(int quads) {
+  if (!quads) return {0, 0, 0};
+  const int step = OUTER_THREADS / quads, row = threadIdx.x / quads;
+  return {(int)threadIdx.x % quads, row, row < step ? step : 0};
+}
+// parts [B, splits, size] has the sums of so many shares of each window's frames; these are those from `first` on. While a block
+// multiplies rows, the next ones are on their way. grid (B shares, outers), block OUTER_THREADS, shared memory: twice as many rows of
+// both as a block has at a time; 16 x 8 sums of each warp
+extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Plan* __restrict__ plan, const Outer* __restrict__ outers, float* __restrict__ parts, int splits, int first, int size) {
   DYNAMIC_SHARED(float, shared);
-  __shared__ u32 at_x[LEARN_NODES * STENCIL], at_by[LEARN_NODES * CHILDREN];
   const Plan& s = *plan;
   const Outer& o = outers[blockIdx.y];
-  const int b = blockIdx.x / splits, split = blockIdx.x % splits, frames = frames_of(s);
+  const int b = blockIdx.x % s.batch, split = first + blockIdx.x / s.batch, frames = frames_of(s), last = frames * (split + 1) / splits;
   const bool of_nodes = o.level >= 0, spread = of_nodes && o.stencil == TO_CHILDREN;
-  const int places = of_nodes ? places_of(o.stencil) : 1, targets = spread ? CHILDREN : 1;
-  const int inner = places * o.width, columns = targets * o.outputs, x_stride = ODD4(inner), by_stride = ODD4(columns);
-  const int wide = columns / 4, squares = (inner / 4 + 1) * wide;
-  float *x = shared, *by = x + o.rows * x_stride;
-  const int item = o.begun + threadIdx.x, own = item % squares, part = item / squares;
-  const bool is = part < o.parts, is_bias = own / wide * 4 == inner;
-  const int i = own / wide * 4, j = own % wide * 4;
-  float sums[4][4];
+  const int inner = (of_nodes ? places_of(o.stencil) : 1) * o.width, columns = (spread ? CHILDREN : 1) * o.outputs;
+  const int high = (o.left_end - o.left + 15) / 16, wide = (o.right_end - o.right + 7) / 8, tiles = high * wide;
+  const int x_stride = outer_stride(16 * high), by_stride = outer_stride(8 * wide), rows = o.rows, length = rows * (x_stride + by_stride);
+  // Warps that share a tile take every so many eighth of the rows.
+  const int sharing = tiles < OUTER_WARPS ? OUTER_WARPS / tiles : 1, warp = threadIdx.x / WARP;
+  const int part = warp % sharing, begun = warp / sharing, step = OUTER_WARPS / sharing;
+  float sums[OUTER_TILES][4];
+  int at_left[OUTER_TILES], at_right[OUTER_TILES];
 #pragma unroll
-  for (int r = 0; r < 4; r++)
+  for (int tile = 0; tile < OUTER_TILES; tile++) {
+    at_left[tile] = (begun + tile * step) / wide * 16;
+    at_right[tile] = (begun + tile * step) % wide * 8;
 #pragma unroll
-    for (int u = 0; u < 4; u++) sums[r][u] = 0.0f;
-  for (int t = frames * split / splits; t < frames * (split + 1) / splits; t++) {
-    const int sheet = t * s.batch + b, source = o.stencil == FROM_CHILDREN ? o.level - 1 : o.level;
-    const u32 total = of_nodes ? s.totals[sheet * LEVELS + o.level] : particles_of(s, b);
-    const size_t x_first = (size_t)sheet * (of_nodes ? s.nodes[source] : (u32)s.most);
-    const size_t by_first = (size_t)sheet * (of_nodes ? s.nodes[spread ? o.level - 1 : o.level] : (u32)s.most);
-    for (u32 begin = 0; begin < total; begin += o.rows) {
-      const int count = (int)min((u32)o.rows, total - begin);
-      __syncthreads();
-      if (of_nodes) {
-        for (int k = threadIdx.x; k < count * places; k += OUTER_THREADS) at_x[k] = node_at(s, sheet, o.stencil, o.level, begin + k / places, k % places);
-        for (int k = threadIdx.x; k < count * targets; k += OUTER_THREADS)
-          at_by[k] = spread ? node_at(s, sheet, FROM_CHILDREN, o.level, begin + k / targets, k % targets) : begin + k;
-        __syncthreads();
-      }
-      const int four = o.width / 4, by_four = o.outputs / 4;
+    for (int i = 0; i < 4; i++) sums[tile][i] = 0.0f;
+  }
+  if (o.left_end > inner)
+    for (int row = threadIdx.x; row < 2 * rows; row += OUTER_THREADS) shared[row / rows * length + row % rows * x_stride + inner - o.left] = 1.0f;
+  // What this thread copies: a quadruple of a place of `x`, and one of a child's `by`.
+  const u32 most = of_nodes ? s.nodes[o.stencil == FROM_CHILDREN ? o.level - 1 : o.level] : (u32)s.most;
+  const u32 most_by = of_nodes ? s.nodes[spread ? o.level - 1 : o.level] : (u32)s.most;
+  const Share x_share = share_of((min(o.left_end, inner) - o.left) / 4), by_share = share_of((o.right_end - o.right) / 4);
+  const int x_number = o.left + 4 * x_share.quad, place = o.width ? x_number / o.width : 0, x_column = o.width ? x_number % o.width : 0;
+  const int by_number = o.right + 4 * by_share.quad, target = by_number / o.outputs, column = by_number % o.outputs;
+  const int by_column = column + (3 * column >= 2 * o.outputs ? o.gap : 0);
+  const auto total_of = [&](int t) { return of_nodes ? s.totals[(t * s.batch + b) * LEVELS + o.level] : particles_of(s, b); };
+  // The first rows of a frame that has any.
+  const auto settle = [&](int& t, u32& begin) {
+    while (t < last && begin >= total_of(t)) {
+      t++;
+      begin = 0;
+    }
+  };
+  const auto copy = [&](int t, u32 begin, float* to) {
+    const int sheet = t * s.batch + b, count = (int)min((u32)rows, total_of(t) - begin), filled = (count + 7) / 8 * 8;
+    if (x_share.step)
 #pragma unroll 4
-      for (int k = threadIdx.x; k < count * places * four; k += OUTER_THREADS) {
-        const u32 row = of_nodes ? at_x[k / four] : begin + k / four;
-        *(float4*)(x + k / four / places * x_stride + k / four % places * o.width + k % four * 4) =
-            row == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : *(const float4*)(o.x + (x_first + row) * o.x_stride + k % four * 4);
+      for (int row = x_share.row; row < filled; row += x_share.step) {
+        u32 from = begin + row;
+        if (row >= count) from = MISSING;
+        else if (of_nodes) from = node_at(s, sheet, o.stencil, o.level, from, place);
+        const bool is = from != MISSING;
+        copy_quad(to + row * x_stride + 4 * x_share.quad, o.x + (is ? ((size_t)sheet * most + from) * o.x_stride + x_column : 0), is);
       }
+    if (by_share.step)
 #pragma unroll 4
-      for (int k = threadIdx.x; k < count * targets * by_four; k += OUTER_THREADS) {
-        const u32 row = of_nodes ? at_by[k / by_four] : begin + k / by_four;
-        const int column = k % by_four * 4, skipped = 3 * column >= 2 * o.outputs ? o.gap : 0;
-        *(float4*)(by + k / by_four / targets * by_stride + k / by_four % targets * o.outputs + column) =
-            row == MISSING ? float4{0.0f, 0.0f, 0.0f, 0.0f} : *(const float4*)(o.by + (by_first + row) * o.stride + skipped + column);
+      for (int row = by_share.row; row < filled; row += by_share.step) {
+        u32 from = begin + row;
+        if (row >= count) from = MISSING;
+        else if (spread) from = node_at(s, sheet, FROM_CHILDREN, o.level, from, target);
+        const bool is = from != MISSING;
+        copy_quad(to + rows * x_stride + row * by_stride + 4 * by_share.quad, o.by + (is ? ((size_t)sheet * most_by + from) * o.stride + by_column : 0), is);
       }
-      __syncthreads();
-      if (is && !is_bias)
-        for (int row = part; row < count; row += o.parts) {
-          const float4 left = *(const float4*)(x + row * x_stride + i), right = *(const float4*)(by + row * by_stride + j);
-          const float l[4] = {left.x, left.y, left.z, left.w}, g[4] = {right.x, right.y, right.z, right.w};
+  };
+  int t = frames * split / splits;
+  u32 begin = 0;
+  settle(t, begin);
+  if (t < last) copy(t, begin, shared);
+  end_copies();
+  for (int turn = 0; t < last; turn ^= 1) {
+    const int filled = ((int)min((u32)rows, total_of(t) - begin) + 7) / 8 * 8;
+    begin += rows;
+    settle(t, begin);
+    if (t < last) copy(t, begin, shared + (turn ^ 1) * length);
+    end_copies();
+    wait_copies(1);
+    __syncthreads();
+    const float *x = shared + turn * length + fragment_quad() * x_stride + fragment_row();
+    const float *by = shared + turn * length + rows * x_stride + fragment_quad() * by_stride + fragment_row();
+    for (int k = 8 * part; k < filled; k += 8 * sharing) {
+      const float *lefts = x + k * x_stride, *rights = by + k * by_stride;
 #pragma unroll
-          for (int r = 0; r < 4; r++)
+      for (int tile = 0; tile < OUTER_TILES; tile++) {
+        if (begun + tile * step >= tiles) break;
+        const float *left = lefts + at_left[tile], *right = rights + at_right[tile];
+        const Parts a[4] = {parts_of(left[0]), parts_of(left[8]), parts_of(left[4 * x_stride]), parts_of(left[4 * x_stride + 8])};
+        const Parts c[2] = {parts_of(right[0]), parts_of(right[4 * by_stride])};
+        add_step(sums[tile], sums[tile], a, c);
+      }
+    }
+    __syncthreads();
+  }
+  if (sharing > 1) {
 #pragma unroll
-            for (int u = 0; u < 4; u++) sums[r][u] = fmaf(l[r], g[u], sums[r][u]);
-        }
-      // The children of a node share the bias: it is where the first one's would be.
-      if (is && is_bias && j < o.outputs)
-        for (int row = part; row < count; row += o.parts)
-          for (int target = 0; target < targets; target++)
+    for (int i = 0; i < 4; i++) shared[threadIdx.x * 4 + i] = sums[0][i];
+    __syncthreads();
+    if (part) return;
+    for (int other = 1; other < sharing; other++)
 #pragma unroll
-            for (int u = 0; u < 4; u++) sums[0][u] += by[row * by_stride + target * o.outputs + j + u];
+      for (int i = 0; i < 4; i++) sums[0][i] += shared[(threadIdx.x + other * WARP) * 4 + i];
+  }
+  float* to = parts + ((size_t)b * splits + split) * size + o.first;
+#pragma unroll
+  for (int tile = 0; tile < OUTER_TILES; tile++) {
+    if (begun + tile * step >= tiles) break;
+#pragma unroll
+    for (int i = 0; i < 4; i++) {
+      const int row = o.left + at_left[tile] + fragment_row() + 8 * (i / 2), column = o.right + at_right[tile] + 2 * fragment_quad() + i % 2;
+      if (row < o.left_end && column < o.right_end) to[(size_t)row * columns + column] = sums[tile][i];
     }
   }
-  if (o.parts > 1) {
-    __syncthreads();
-    if (is && part > 0)
-#pragma unroll
-      for (int r = 0; r < 4; r++)
-#pragma unroll
-        for (int u = 0; u < 4; u++) shared[((part - 1) * squares + own) * 16 + 4 * r + u] = sums[r][u];
-    __syncthreads();
-    if (part == 0)
-      for (int other = 0; other < o.parts - 1; other++)
-#pragma unroll
-        for (int r = 0; r < 4; r++)
-#pragma unroll
-          for (int u = 0; u < 4; u++) sums[r][u] += shared[(other * squares + own) * 16 + 4 * r + u];
-  }
-  if (part > 0) return;
-  float* to = parts + (size_t)blockIdx.x * size + o.first;
-#pragma unroll
-  for (int r = 0; r < 4; r++)
-    if (i + r <= inner)
-#pragma unroll
-      for (int u = 0; u < 4; u++) to[(size_t)(i + r) * columns + j + u] = sums[r][u];
 }
 
 // Marks windows whose gradient is not finite. grid (x, B splits), block 256

@@ -1,25 +1,30 @@
 // Frames forwards: features and encoder; what is gathered from the nodes, context, core and decoder; the predicted motion and
-// its error. A block has a tile of a window's particles; rows of a tile beyond the window are computed, but not kept.
+// its error. A warp has a tile of a window's particles; rows of a tile beyond the window are computed, but not kept.
 
-// A tile: particles begin..begin + count of a window.
+// A warp's tile: particles begin..begin + count of a window.
 struct Tile { int b; u32 begin; int count; };
 __device__ __forceinline__ Tile tile_of(const Plan& s, int b) {
-  const u32 begin = blockIdx.x * LEARN_TILE, n = particles_of(s, b);
-  return {b, begin, begin < n ? (int)min((u32)LEARN_TILE, n - begin) : 0};
+  const u32 begin = (blockIdx.x * LEARN_WARPS + threadIdx.x / WARP) * WARP_ROWS, n = particles_of(s, b);
+  return {b, begin, begin < n ? (int)min((u32)WARP_ROWS, n - begin) : 0};
 }
 // Rows of a tile from a list of rows of `width` numbers, and back.
 __device__ __forceinline__ void load_tile(const Tile& tile, float* to, int to_stride, const float* from, int width) {
-  for (int i = threadIdx.x; i < LEARN_TILE * (width / 4); i += THREADS) {
+  for (int i = lane_of(); i < WARP_ROWS * (width / 4); i += WARP) {
     const int row = i / (width / 4), k = i % (width / 4);
-    *(float4*)(to + row * to_stride + 4 * k) = row < tile.count ? *(const float4*)(from + (size_t)row * width + 4 * k) : float4{0.0f, 0.0f, 0.0f, 0.0f};
+    *(float4*)(to + row * to_stride + 4 * k) = quad_of(from + (size_t)row * width + 4 * k, row < tile.count);
   }
 }
 __device__ __forceinline__ void store_tile(const Tile& tile, float* to, int width, const float* from, int from_stride) {
-  for (int i = threadIdx.x; i < tile.count * (width / 4); i += THREADS) {
+  for (int i = lane_of(); i < tile.count * (width / 4); i += WARP) {
     const int row = i / (width / 4), k = i % (width / 4);
     *(float4*)(to + (size_t)row * width + 4 * k) = *(const float4*)(from + row * from_stride + 4 * k);
   }
 }
+__device__ __forceinline__ void store_units(float* to, const float* from) { *(float4*)to = float4{from[0], from[1], from[2], from[3]}; }
+#define LEARN_THREADS (LEARN_WARPS * WARP)
+// Shared memory of a warp whose rows have so many numbers.
+__device__ __forceinline__ float* rows_of_warp(void* shared, int numbers) { return (float*)shared + threadIdx.x / WARP * WARP_ROWS * numbers; }
+#define STENCIL_NUMBERS (int)(sizeof(Stencil) / sizeof(float))
 
 // Links of a window's particles: nowhere if no particle has a rest shape.
 __device__ __forceinline__ const u32* first_of(const Plan& s, const u32* first, int b) {
@@ -50,32 +55,33 @@ __device__ __forceinline__ void features_of(const Plan& s, int sheet, int b, u32
   own[SHAPE_FROM + SHAPE_FEATURES + s.material[(size_t)window_of(s, b).stream * s.most + p]] = 1.0f;
 }
 
-// Features and encoder of sheets from `first` on. grid (ceil(most / LEARN_TILE), sheets), block THREADS, shared memory: rows of
-// features, of the hidden layer, of outputs
-extern "C" __global__ void __launch_bounds__(THREADS) train_encode(const Plan* __restrict__ plan, const float* __restrict__ first_matrix,
+// Features and encoder of sheets from `first` on. Matrices are transposed. grid (ceil(most / (LEARN_WARPS WARP_ROWS)), sheets), block
+// LEARN_THREADS, shared memory: of each row the features, the hidden layer, the outputs
+extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode(const Plan* __restrict__ plan, const float* __restrict__ first_matrix,
     const float* __restrict__ second_matrix, int first) {
   DYNAMIC_SHARED(float, shared);
-  float *x = shared, *hidden = x + LEARN_TILE * ODD4(F4), *encoded = hidden + LEARN_TILE * ODD4(E4);
+  float* x = rows_of_warp(shared, ODD4(F4) + ODD4(E4) + ODD4(C04));
+  float *hidden = x + WARP_ROWS * ODD4(F4), *encoded = hidden + WARP_ROWS * ODD4(E4);
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, b = sheet % s.batch;
+  const int sheet = first + blockIdx.y, b = sheet % s.batch, row = lane_of();
   const Tile tile = tile_of(s, b);
   if (!tile.count) return;
   const size_t at = particle_row(s, sheet, tile.begin);
-  for (int row = threadIdx.x; row < LEARN_TILE; row += THREADS) {
+  if (row < WARP_ROWS) {
     float* own = x + row * ODD4(F4);
     for (int k = 0; k < F4; k++) own[k] = 0.0f;
     if (row < tile.count) features_of(s, sheet, b, tile.begin + row, own);
   }
-  __syncthreads();
-  for (int i = threadIdx.x; i < tile.count * (F4 / 4); i += THREADS) {
+  __syncwarp();
+  for (int i = lane_of(); i < tile.count * (F4 / 4); i += WARP) {
     const int row = i / (F4 / 4), k = i % (F4 / 4);
     *(float4*)(s.inputs + (at + row) * CONCAT + 4 * k) = *(const float4*)(x + row * ODD4(F4) + 4 * k);
   }
-  tile_product<LEARN_TILE, true>(x, ODD4(F4), hidden, ODD4(E4), first_matrix, F4, E4, true);
-  __syncthreads();
+  tile_layer(x, ODD4(F4), hidden, ODD4(E4), first_matrix, F4, E4, true);
+  __syncwarp();
   store_tile(tile, s.hidden + at * E4, E4, hidden, ODD4(E4));
-  tile_product<LEARN_TILE, true>(hidden, ODD4(E4), encoded, ODD4(C04), second_matrix, E4, C04, false);
-  __syncthreads();
+  tile_layer(hidden, ODD4(E4), encoded, ODD4(C04), second_matrix, E4, C04, false);
+  __syncwarp();
   store_tile(tile, s.encoded + at * C04, C04, encoded, ODD4(C04));
 }
 
@@ -106,16 +112,19 @@ __device__ __forceinline__ float unit_forward(float* sums, float last, float* ce
 #endif
 }
 
-// Gather from the nodes, context, core and decoder, for some frames of all windows, one after the other. `w` has the matrices of
-// context, core (input, then recurrent), mixer and decoder one behind the other.
-// grid (ceil(most / LEARN_TILE), B), block THREADS, shared memory: rows of the input, two lists of rows of units; each particle's
-// stencil
+// Gather from the nodes, context, core and decoder, for some frames of all windows, one after the other. `w` has the transposed
+// matrices of context, core (input, then recurrent), mixer and decoder one behind the other.
+// grid (ceil(most / (LEARN_WARPS WARP_ROWS)), B), block LEARN_THREADS, shared memory: of each row the input or the core's sums, two lists
+// of units, the stencil
 #define LEARN_WIDE ODD4(WIDEST(CONCAT, H4))
 #define LEARN_NARROW ODD4(H4)
-extern "C" __global__ void __launch_bounds__(THREADS) train_decode(const Plan* __restrict__ plan, const float* __restrict__ w, int first, int frames) {
+#define LEARN_SLOTS ODD4(SLOTS)
+#define LEARN_LONGEST WIDEST(LEARN_WIDE, LEARN_SLOTS)
+extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const Plan* __restrict__ plan, const float* __restrict__ w, int first, int frames) {
   DYNAMIC_SHARED(float, shared);
-  float *wide = shared, *narrow = wide + LEARN_TILE * LEARN_WIDE, *last = narrow + LEARN_TILE * LEARN_NARROW;
-  Stencil* stencils = (Stencil*)(last + LEARN_TILE * LEARN_NARROW);
+  float *wide = rows_of_warp(shared, LEARN_LONGEST + 2 * LEARN_NARROW + STENCIL_NUMBERS), *slots = wide;
+  float *units = wide + WARP_ROWS * LEARN_LONGEST, *last = units + WARP_ROWS * LEARN_NARROW;
+  Stencil* stencils = (Stencil*)(last + WARP_ROWS * LEARN_NARROW);
   const Plan& s = *plan;
   const int all = frames_of(s);
   const Tile tile = tile_of(s, blockIdx.y);
@@ -123,113 +132,82 @@ extern "C" __global__ void __launch_bounds__(THREADS) train_decode(const Plan* _
   for (int t = first; t < first + frames; t++) {
     const int sheet = t * s.batch + tile.b;
     const size_t at = particle_row(s, sheet, tile.begin);
-    for (int row = threadIdx.x; row < tile.count; row += THREADS) stencils[row] = stencil_of(s, sheet, s.states[at + row]);
-    __syncthreads();
+    if (lane_of() < tile.count) stencils[lane_of()] = stencil_of(s, sheet, s.states[at + lane_of()]);
+    __syncwarp();
     const float* field = s.fields[FIELDS - 1] + (size_t)sheet * s.nodes[0] * C04;
-    for (int i = threadIdx.x; i < LEARN_TILE * (CONCAT / 4); i += THREADS) {
+    for (int i = lane_of(); i < WARP_ROWS * (CONCAT / 4); i += WARP) {
       const int row = i / (CONCAT / 4), k = i % (CONCAT / 4);
       float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
       if (row < tile.count && k < F4 / 4) {
         sum = *(const float4*)(s.inputs + (at + row) * CONCAT + 4 * k);
       } else if (row < tile.count) {
-        const Stencil& own = stencils[row];
-#pragma unroll
-        for (int j = 0; j < STENCIL_ROWS; j++)
-#pragma unroll
-          for (int c = 0; c < 3; c++) {
-            const float4 value = *(const float4*)(field + (size_t)(own.rows[j] + c) * C04 + 4 * k - F4);
-            const float weight = own.weights[0][c] * row_weight(own.weights, j);
-            sum.x = fmaf(weight, value.x, sum.x);
-            sum.y = fmaf(weight, value.y, sum.y);
-            sum.z = fmaf(weight, value.z, sum.z);
-            sum.w = fmaf(weight, value.w, sum.w);
-          }
+        sum = gathered_quad(stencils[row], field, C04, k - F4 / 4);
         *(float4*)(s.inputs + (at + row) * CONCAT + 4 * k) = sum;
       }
       *(float4*)(wide + row * LEARN_WIDE + 4 * k) = sum;
     }
-    __syncthreads();
+    __syncwarp();
     const float* matrix = w;
-    tile_product<LEARN_TILE, true>(wide, LEARN_WIDE, narrow, LEARN_NARROW, matrix, CONCAT, H4, true);
+    tile_layer(wide, LEARN_WIDE, units, LEARN_NARROW, matrix, CONCAT, H4, true);
     matrix += CONTEXT_SIZE;
-    __syncthreads();
-    store_tile(tile, s.context + at * H4, H4, narrow, LEARN_NARROW);
-    float *x = narrow, *y = wide;
-    int x_stride = LEARN_NARROW, y_stride = LEARN_WIDE;
+    __syncwarp();
+    store_tile(tile, s.context + at * H4, H4, units, LEARN_NARROW);
     for (int layer = 0; layer < LAYERS; layer++) {
       const size_t before = layer_row(s, layer, (all + 1) * s.batch, sheet, tile.begin), after = before + (size_t)s.batch * s.most;
       const size_t gates_at = layer_row(s, layer, all * s.batch, sheet, tile.begin);
       load_tile(tile, last, LEARN_NARROW, s.outputs + before * H4, H4);
-      __syncthreads();
-      for (int item = threadIdx.x; item < LEARN_TILE / ROWS * (H4 / UNITS); item += THREADS) {
-        const int row = item % (LEARN_TILE / ROWS), unit = item / (LEARN_TILE / ROWS) * UNITS;
-        float sums[GATE_SUMS][ROWS][UNITS];
-#pragma unroll
-        for (int gate = 0; gate < GATES; gate++)
-#pragma unroll
-          for (int r = 0; r < ROWS; r++) load_units<UNITS>(matrix + H4 * CORE_COLUMNS + gate * H4 + unit, sums[gate][r]);
-        add_products<GATES, GATE_SUMS, UNITS, -1>(sums, x + row * x_stride, LEARN_TILE / ROWS * x_stride, matrix + unit, CORE_COLUMNS, H4, H4);
+      tile_layer(units, LEARN_NARROW, slots, LEARN_SLOTS, matrix, H4, CORE_COLUMNS, false);
+      __syncwarp();
 #if CORE >= 3
-        const float* recurrent = matrix + GATES_SIZE;
-#pragma unroll
-        for (int gate = 0; gate < GATES; gate++) {
-          float bias[UNITS];
-          load_units<UNITS>(recurrent + H4 * CORE_COLUMNS + gate * H4 + unit, bias);
-#pragma unroll
-          for (int r = 0; r < ROWS; r++)
-#pragma unroll
-            for (int u = 0; u < UNITS; u++) {
-              if (CORE == 3 && gate == 2) sums[GATE_SUMS - 1][r][u] = bias[u];
-              else sums[gate][r][u] += bias[u];
-            }
-        }
-        add_products<GATES, GATE_SUMS, UNITS, CORE == 3 ? 2 : -1>(sums, last + row * LEARN_NARROW, LEARN_TILE / ROWS * LEARN_NARROW,
-            recurrent + unit, CORE_COLUMNS, H4, H4);
+      // Of GRU, the last gate's products with the state are kept apart, behind the gates.
+      const float *recurrent = matrix + GATES_SIZE, *bias = recurrent + H4 * CORE_COLUMNS;
+      tile_product<true>(last, LEARN_NARROW, slots, LEARN_SLOTS, recurrent, H4, bias, H4, CORE == 3 ? 2 * H4 : SLOTS, false);
+#if CORE == 3
+      tile_product<false>(last, LEARN_NARROW, slots + 3 * H4, LEARN_SLOTS, recurrent + 2 * H4 * H4, H4, bias + 2 * H4, H4, H4, false);
 #endif
+      __syncwarp();
+#endif
+      for (int i = lane_of(); i < WARP_ROWS * (H4 / 4); i += WARP) {
+        const int row = i / (H4 / 4), unit = i % (H4 / 4) * 4;
+        const bool kept = row < tile.count;
+        float sums[GATE_SUMS][4], cells[4] = {0.0f, 0.0f, 0.0f, 0.0f}, before_it[4], state[4];
 #pragma unroll
-        for (int r = 0; r < ROWS; r++) {
-          const int place = row + r * (LEARN_TILE / ROWS);
-          const bool kept = place < tile.count;
-#pragma unroll
-          for (int u = 0; u < UNITS; u++) {
-            float own[GATE_SUMS], cell = 0.0f;
-#pragma unroll
-            for (int gate = 0; gate < GATE_SUMS; gate++) own[gate] = sums[gate][r][u];
+        for (int gate = 0; gate < GATE_SUMS; gate++) load_units<4>(slots + row * LEARN_SLOTS + gate * H4 + unit, sums[gate]);
+        load_units<4>(last + row * LEARN_NARROW + unit, before_it);
 #if CORE == 4
-            if (kept) cell = s.cells[(before + place) * H4 + unit + u];
+        if (kept) load_units<4>(s.cells + (before + row) * H4 + unit, cells);
 #endif
-            // Padding has no state: the sums there are zero, their gates are not.
-            const bool is_unit = unit + u < H;
-            const float state = unit_forward(own, last[place * LEARN_NARROW + unit + u], &cell);
-            y[place * y_stride + unit + u] = is_unit ? state : 0.0f;
-#if CORE == 4
-            if (kept) s.cells[(after + place) * H4 + unit + u] = is_unit ? cell : 0.0f;
-#endif
-            if (kept)
 #pragma unroll
-              for (int gate = 0; gate < GATE_SUMS; gate++) s.gates[(gates_at + place) * SLOTS + gate * H4 + unit + u] = own[gate];
-          }
+        for (int u = 0; u < 4; u++) {
+          float own[GATE_SUMS];
+#pragma unroll
+          for (int gate = 0; gate < GATE_SUMS; gate++) own[gate] = sums[gate][u];
+          state[u] = unit_forward(own, before_it[u], &cells[u]);
+          // Padding has no state: the sums there are zero, their gates are not.
+          if (unit + u >= H) state[u] = cells[u] = 0.0f;
+#pragma unroll
+          for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate][u] = own[gate];
         }
+        store_units(units + row * LEARN_NARROW + unit, state);
+        if (!kept) continue;
+#if CORE == 4
+        store_units(s.cells + (after + row) * H4 + unit, cells);
+#endif
+#pragma unroll
+        for (int gate = 0; gate < GATE_SUMS; gate++) store_units(s.gates + (gates_at + row) * SLOTS + gate * H4 + unit, sums[gate]);
       }
-      __syncthreads();
-      store_tile(tile, s.outputs + after * H4, H4, y, y_stride);
+      __syncwarp();
+      store_tile(tile, s.outputs + after * H4, H4, units, LEARN_NARROW);
       matrix += CORE_SIZE;
-      float* swap = x;
-      x = y;
-      y = swap;
-      const int stride = x_stride;
-      x_stride = y_stride;
-      y_stride = stride;
     }
-    __syncthreads();
-    tile_product<LEARN_TILE, true>(x, x_stride, y, y_stride, matrix, H4, H4, true);
+    tile_layer(units, LEARN_NARROW, wide, LEARN_WIDE, matrix, H4, H4, true);
     matrix += MIXER_SIZE;
-    __syncthreads();
-    store_tile(tile, s.mixed + at * H4, H4, y, y_stride);
-    tile_product<LEARN_TILE, true>(y, y_stride, last, LEARN_NARROW, matrix, H4, OUT4, false);
-    __syncthreads();
+    __syncwarp();
+    store_tile(tile, s.mixed + at * H4, H4, wide, LEARN_WIDE);
+    tile_layer(wide, LEARN_WIDE, last, LEARN_NARROW, matrix, H4, OUT4, false);
+    __syncwarp();
     store_tile(tile, s.output + at * OUT4, OUT4, last, LEARN_NARROW);
-    __syncthreads();
+    __syncwarp();
   }
 }
 

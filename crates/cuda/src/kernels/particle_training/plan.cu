@@ -4,8 +4,7 @@
 // order; only integers are counted atomically.
 //
 // Constants beside those of the predictions:
-//   LEARN_TILE  particles of a block
-//   LEARN_NODES nodes of a block
+//   LEARN_WARPS warps of a block that has particles
 
 // Nodes of a stencil, nodes of it behind each other, children of a node.
 #if DIM == 2
@@ -43,6 +42,8 @@ struct Plan {
   float* weights;            // weights of the particle in a slot, 3 for each axis
   u32* maps[MAX_LEVELS];     // number of each node
   u32* lists[MAX_LEVELS];    // entry of each node
+  u32* around[MAX_LEVELS];   // [.., STENCIL] the nodes around each node, MISSING where there is none
+  u32* children[MAX_LEVELS]; // [.., CHILDREN] its children, but for the finest level
   u32* totals;               // [T, B, LEVELS] nodes
   float* inputs;             // [.., CONCAT] features and gathered numbers
   float* hidden;             // [.., E4] of the encoder
@@ -171,4 +172,33 @@ __device__ __forceinline__ float row_weight(const float (*weights)[3], int row) 
     row /= 3;
   }
   return product;
+}
+// Four numbers that a particle gathers from a list of rows of `width` numbers at the nodes.
+__device__ __forceinline__ float4 gathered_quad(const Stencil& own, const float* field, int width, int quad) {
+  float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
+#pragma unroll
+  for (int row = 0; row < STENCIL_ROWS; row++)
+#pragma unroll
+    for (int column = 0; column < 3; column++) {
+      const float4 value = *(const float4*)(field + (size_t)(own.rows[row] + column) * width + 4 * quad);
+      const float weight = own.weights[0][column] * row_weight(own.weights, row);
+      sum.x = fmaf(weight, value.x, sum.x);
+      sum.y = fmaf(weight, value.y, sum.y);
+      sum.z = fmaf(weight, value.z, sum.z);
+      sum.w = fmaf(weight, value.w, sum.w);
+    }
+  return sum;
+}
+
+// What makes up a row of a layer's input: the 3 x 3 around a node, its children; itself, from where a layer goes to the children.
+#define NEIGHBOURS 0
+#define FROM_CHILDREN 1
+#define TO_CHILDREN 2
+#define ITSELF 3
+__device__ __forceinline__ int places_of(int stencil) { return stencil == NEIGHBOURS ? STENCIL : (stencil == FROM_CHILDREN ? CHILDREN : 1); }
+// The node at a place of a node's row, or MISSING.
+__device__ __forceinline__ u32 node_at(const Plan& s, int sheet, int stencil, int level, u32 node, int place) {
+  const size_t row = (size_t)sheet * s.nodes[level] + node;
+  if (stencil == NEIGHBOURS) return s.around[level][row * STENCIL + place];
+  return stencil == FROM_CHILDREN ? s.children[level][row * CHILDREN + place] : node;
 }

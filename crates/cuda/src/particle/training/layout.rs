@@ -14,7 +14,7 @@
 use eddy_inference::{
     checkpoint::{
         Core, Description,
-        grid::{GridLayer, Stencil},
+        grid::GridLayer,
         layout::{self, PARTICLE_FEATURES},
     },
     kernels::nodes::MAX_LEVELS,
@@ -23,9 +23,12 @@ use eddy_inference::{
 use crate::{
     error::{CudaError, Result},
     kernels::{AXES, PARTICLE_TRAINING_SOURCE, Program, gates},
-    particle::layout::{Constants, ROWS, SHARED, fitting, four, odd},
+    particle::layout::{Constants, fitting, four, odd},
     training::{Builder, Matrix, Packing, Part},
 };
+
+/// Particles of a warp, `WARP_ROWS` of the kernels.
+const WARP_ROWS: usize = 16;
 
 /// Bytes of `struct Stencil` of the kernels.
 const STENCIL: usize = 4 * (4 * AXES + 3);
@@ -38,10 +41,8 @@ pub(super) const MAX_FIELDS: usize = 4 * MAX_LEVELS;
 pub struct TrainingConstants {
     /// Those of the predictions.
     pub(super) network: Constants,
-    /// Particles of a block.
-    pub(super) tile: usize,
-    /// Nodes of a block.
-    pub(super) nodes: usize,
+    /// Warps of a block that has particles.
+    pub(super) warps: usize,
 }
 
 impl TrainingConstants {
@@ -51,8 +52,8 @@ impl TrainingConstants {
     /// [`CudaError::Unsupported`] for the frame model and for layers that are too wide.
     pub fn of(description: &Description) -> Result<Self> {
         let network = Constants::of(description)?;
-        let bytes = |tile| {
-            let sized = Self { network: network.clone(), tile, nodes: ROWS };
+        let bytes = |warps| {
+            let sized = Self { network: network.clone(), warps };
             [
                 sized.encode_bytes(),
                 sized.decode_bytes(),
@@ -63,20 +64,18 @@ impl TrainingConstants {
             .max()
             .unwrap_or_default()
         };
-        let Some(tile) = fitting(&[64, 32, 16, 8, ROWS], bytes) else {
+        let Some(warps) = fitting(&[4, 2, 1], bytes) else {
             let (encoder, hidden) = (network.encoder, network.hidden);
             let setting = format!("network.encoder {encoder} with network.hidden {hidden}");
-            let expected = "at most about 900 for each to train on a GPU";
+            let expected = "at most about 300 for each to train on a GPU";
             return Err(CudaError::Unsupported { setting, expected });
         };
-        let widest = network.widest_list();
-        let bytes = |nodes| 4 * nodes * (odd(9 * widest) + odd(4 * widest));
-        let Some(nodes) = fitting(&[16, 8, ROWS], bytes) else {
-            let setting = format!("network.channels {:?}", network.channels);
-            let expected = "at most about 700 each to train on a GPU";
-            return Err(CudaError::Unsupported { setting, expected });
-        };
-        Ok(Self { network, tile, nodes })
+        Ok(Self { network, warps })
+    }
+
+    /// Particles of a block.
+    pub(super) fn tile(&self) -> usize {
+        self.warps * WARP_ROWS
     }
 
     /// Level and padded width of the lists of features at nodes.
@@ -105,28 +104,24 @@ impl TrainingConstants {
         four(2 * AXES)
     }
 
-    /// Shared memory of a block of each kernel with tiles (bytes).
+    /// Shared memory of a block of each kernel with particles (bytes).
     pub(super) fn encode_bytes(&self) -> usize {
         let widths = [PARTICLE_FEATURES, self.network.encoder, self.network.channels[0]];
-        4 * self.tile * widths.map(|width| odd(four(width))).iter().sum::<usize>()
-    }
-
-    fn units_bytes(&self) -> usize {
-        let hidden = self.network.hidden_columns();
-        let wide = odd(self.network.context_rows().max(hidden));
-        4 * self.tile * (wide + 2 * odd(hidden))
+        4 * self.tile() * widths.map(|width| odd(four(width))).iter().sum::<usize>()
     }
 
     pub(super) fn decode_bytes(&self) -> usize {
-        self.units_bytes() + self.tile * STENCIL
+        self.decode_gradient_bytes() + self.tile() * STENCIL
     }
 
     pub(super) fn decode_gradient_bytes(&self) -> usize {
-        self.units_bytes() + 4 * self.tile * odd(self.slots())
+        let hidden = self.network.hidden_columns();
+        let longest = self.network.context_rows().max(hidden).max(self.slots());
+        4 * self.tile() * (odd(longest) + 2 * odd(hidden))
     }
 
     pub(super) fn encode_gradient_bytes(&self) -> usize {
-        self.encode_bytes() + self.tile * (4 * 3usize.pow(AXES as u32) + STENCIL)
+        self.encode_bytes() + self.tile() * (4 * 3usize.pow(AXES as u32) + STENCIL)
     }
 }
 
@@ -136,7 +131,7 @@ impl Program for TrainingConstants {
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
-        let own = [("LEARN_TILE", self.tile), ("LEARN_NODES", self.nodes)];
+        let own = [("LEARN_WARPS", self.warps)];
         self.network.definitions().into_iter().chain(own).collect()
     }
 }
@@ -219,22 +214,14 @@ impl Layout {
         Self { encoder: encoder_layers, grid, context, core: core_layers, mixer, decoder, packing }
     }
 
-    /// `struct Turn` of the kernels for every matrix: first number, rows without the bias, columns, places around a node.
-    pub(super) fn turns(&self, plan: &[GridLayer]) -> Vec<[i32; 4]> {
-        let turn = |matrix: &Matrix| {
-            let mut layers = self.grid.iter().zip(plan);
-            let places = match layers.find(|(one, _)| *one == matrix) {
-                Some((_, GridLayer { stencil: Stencil::Neighbours, .. })) => 9,
-                _ => 1,
-            };
-            [matrix.first, matrix.bias, matrix.columns, places].map(|number| number as i32)
+    /// `struct Transposed` of the kernels for every matrix.
+    pub(super) fn transposed(&self) -> Vec<[i32; 4]> {
+        let matrix = |matrix: &Matrix| {
+            [matrix.first, matrix.bias, matrix.columns, 0].map(|number| number as i32)
         };
-        self.packing.matrices().iter().map(turn).collect()
+        self.packing.matrices().iter().map(matrix).collect()
     }
 }
-
-/// Shared memory that a block can have on all GPUs from compute capability 8.0 on (bytes).
-pub(super) const MOST_SHARED: usize = SHARED[1];
 
 #[cfg(test)]
 mod tests {

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use eddy_inference::{
-    checkpoint::{Core, Description},
+    checkpoint::{Core, Description, grid::Stencil},
     engine::{Ballistic, scales},
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
@@ -47,6 +47,8 @@ pub(super) struct Plan {
     weights: u64,
     maps: [u64; MAX_LEVELS],
     lists: [u64; MAX_LEVELS],
+    around: [u64; MAX_LEVELS],
+    children: [u64; MAX_LEVELS],
     totals: u64,
     pub(super) inputs: u64,
     pub(super) hidden: u64,
@@ -108,7 +110,7 @@ impl Plan {
 }
 
 const _: () = assert!(
-    size_of::<Plan>() == 8 * (40 + 2 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
+    size_of::<Plan>() == 8 * (40 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
 );
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Plan {}
@@ -185,10 +187,14 @@ impl Memory {
                 list[number] = lists.next(sheets * nodes[level] * width)?;
             }
         }
-        let (mut maps, mut node_lists) = ([0; MAX_LEVELS], [0; MAX_LEVELS]);
+        let [mut maps, mut node_lists, mut around, mut children] = [[0; MAX_LEVELS]; 4];
         for level in 0..network.levels() {
+            let all = sheets * nodes[level];
             maps[level] = lists.next(sheets * entries[level])?;
-            node_lists[level] = lists.next(sheets * nodes[level])?;
+            node_lists[level] = lists.next(all)?;
+            around[level] = lists.next(all * Stencil::Neighbours.places())?;
+            children[level] =
+                lists.next(if level == 0 { 0 } else { all * Stencil::Children.places() })?;
         }
         let together = warm_up * batch;
         let carried_rows = batch * most;
@@ -222,6 +228,8 @@ impl Memory {
             weights: lists.next(rows * 3 * AXES)?,
             maps,
             lists: node_lists,
+            around,
+            children,
             totals: lists.next(sheets * network.levels())?,
             inputs: lists.next(rows * network.context_rows())?,
             hidden: lists.next(rows * constants.encoder_columns())?,

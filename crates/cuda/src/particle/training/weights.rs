@@ -1,17 +1,18 @@
 //! The gradients by the weights, once those by all sums are there, and Adam.
 
+#![expect(unsafe_code, reason = "a struct that the device reads")]
+
 use super::{
-    Training,
-    forward::stencil_number,
-    layout::{Layout, MOST_SHARED, TrainingConstants},
+    Training, WARP,
+    layout::{Layout, TrainingConstants},
+    nodes::{ITSELF, stencil_number},
     plan::Plan,
 };
 use crate::{
     device::{Buffer, Device, Queue, Shape},
-    error::{CudaError, Result},
+    error::Result,
     kernels::Kernel,
-    particle::layout::{ROWS, odd},
-    training::{Matrix, Settings},
+    training::Settings,
 };
 use eddy_inference::checkpoint::grid::Stencil;
 
@@ -19,12 +20,46 @@ use eddy_inference::checkpoint::grid::Stencil;
 const BLOCKS: usize = 128;
 /// Threads of a block, `OUTER_THREADS` of the kernels.
 const THREADS: usize = 256;
-/// Numbers of a thread.
-const SQUARE: usize = 16;
-/// Rows of particles that a block has at a time: enough to hide the time that memory takes.
-const PARTICLE_ROWS: usize = 128;
-/// Words of an `Outer` of the kernels.
-const WORDS: usize = 16;
+/// Rows and columns of a tile; the most tiles of a block along both, and in all.
+const TILE: [usize; 2] = [16, 8];
+const HIGH: usize = 10;
+const WIDE: usize = 16;
+const TILES: usize = THREADS / WARP * 8;
+/// Rows of nodes and of particles that a block has at a time: enough to hide the time that memory takes.
+const NODE_ROWS: usize = 16;
+const PARTICLE_ROWS: usize = 32;
+
+/// `struct Outer` of the kernels.
+#[derive(Clone, Copy)]
+#[repr(C)]
+struct Outer {
+    x: u64,
+    by: u64,
+    first: i32,
+    stencil: i32,
+    level: i32,
+    width: i32,
+    x_stride: i32,
+    outputs: i32,
+    stride: i32,
+    gap: i32,
+    rows: i32,
+    left: i32,
+    left_end: i32,
+    right: i32,
+    right_end: i32,
+    unused: i32,
+}
+
+// SAFETY: integers without padding between them: 2 x 8 + 14 x 4 bytes.
+unsafe impl bytemuck::Zeroable for Outer {}
+// SAFETY: as above.
+unsafe impl bytemuck::Pod for Outer {}
+
+/// Length of a row in shared memory, `outer_stride` of the kernels.
+fn stride(width: usize) -> usize {
+    (width + 23) / 32 * 32 + 8
+}
 
 /// Where the rows are that a matrix is multiplied by, and the gradients by its products.
 #[derive(Clone, Copy)]
@@ -34,10 +69,43 @@ struct Rows {
     widths: [usize; 2],
     /// Numbers from a row to the next one.
     strides: [usize; 2],
-    /// The stencil and the level, of rows of nodes.
-    nodes: Option<(Stencil, usize)>,
+    /// The nodes that make up a row, and their level.
+    nodes: Option<(NodeRows, usize)>,
     /// Numbers left out before the last third of the gradients.
     gap: usize,
+}
+
+/// The nodes that make up a row.
+#[derive(Clone, Copy)]
+enum NodeRows {
+    /// Those that a layer reads, whose bias is for the node.
+    Layer(Stencil),
+    /// Each for itself: children, which share a bias.
+    Bias,
+}
+
+impl NodeRows {
+    fn places(self) -> usize {
+        match self {
+            Self::Layer(stencil) => stencil.places(),
+            Self::Bias => 1,
+        }
+    }
+
+    /// Rows of the gradients for each row.
+    fn targets(self) -> usize {
+        match self {
+            Self::Layer(stencil) => stencil.children(),
+            Self::Bias => 1,
+        }
+    }
+
+    fn number(self) -> i32 {
+        match self {
+            Self::Layer(stencil) => stencil_number(stencil),
+            Self::Bias => ITSELF,
+        }
+    }
 }
 
 impl Rows {
@@ -47,44 +115,50 @@ impl Rows {
         Self { at: [x.0, by.0], widths, strides: widths, nodes: None, gap: 0 }
     }
 
-    /// Adds the blocks of a matrix to the table of all, `nodes` rows at a time where they are of nodes: the shared memory of a
-    /// block (bytes).
-    fn blocks(self, matrix: &Matrix, nodes: usize, table: &mut Vec<[u32; WORDS]>) -> Result<usize> {
-        let (stencil, level) = self.nodes.map_or((0, -1), |(stencil, level)| {
-            (stencil_number(stencil), i32::try_from(level).unwrap_or_default())
-        });
+    /// Adds the parts of a matrix that begins at `first` to the table of all: the shared memory of a block (bytes).
+    fn parts(self, first: usize, table: &mut Vec<Outer>) -> usize {
+        let (stencil, level) =
+            self.nodes.map_or((0, -1), |(nodes, level)| (nodes.number(), level as i32));
         let (places, targets, rows) = match self.nodes {
-            Some((stencil, _)) => (stencil.places(), stencil.children(), nodes),
+            Some((nodes, _)) => (nodes.places(), nodes.targets(), NODE_ROWS),
             None => (1, 1, PARTICLE_ROWS),
         };
         let [inner, columns] = [places * self.widths[0], targets * self.widths[1]];
-        let squares = (inner / 4 + 1) * (columns / 4);
-        let parts = (THREADS / squares).max(1);
-        let bytes = |rows: usize| {
-            4 * (rows * (odd(inner) + odd(columns))).max((parts - 1) * squares * SQUARE)
-        };
-        let Some(rows) =
-            [rows, 64, 32, 16, ROWS].into_iter().find(|&r| r <= rows && bytes(r) <= MOST_SHARED)
-        else {
-            let setting = format!("a layer of {inner} inputs and {columns} outputs");
-            let expected = "about 2000 inputs at most to train the particle model on a GPU";
-            return Err(CudaError::Unsupported { setting, expected });
-        };
-        for begun in (0..squares * parts).step_by(THREADS) {
-            let mut words = [0; WORDS];
-            words[..4].copy_from_slice(bytemuck::cast_slice(&self.at));
-            let [[width, outputs], [x_stride, stride]] = [self.widths, self.strides];
-            let numbers = [width, x_stride, outputs, stride, self.gap, parts, rows, begun];
-            words[4..7].copy_from_slice(&[matrix.first as u32, stencil as u32, level as u32]);
-            words[7..15].copy_from_slice(&numbers.map(|number| number as u32));
-            table.push(words);
+        // Behind a matrix is its bias, but for that of children.
+        let height = if targets == 1 { inner + 1 } else { inner };
+        let wide = columns.div_ceil(TILE[1]).min(WIDE);
+        let [high_step, wide_step] = [(TILES / wide).min(HIGH) * TILE[0], wide * TILE[1]];
+        for left in (0..height).step_by(high_step) {
+            for right in (0..columns).step_by(wide_step) {
+                table.push(Outer {
+                    x: self.at[0],
+                    by: self.at[1],
+                    first: first as i32,
+                    stencil,
+                    level,
+                    width: self.widths[0] as i32,
+                    x_stride: self.strides[0] as i32,
+                    outputs: self.widths[1] as i32,
+                    stride: self.strides[1] as i32,
+                    gap: self.gap as i32,
+                    rows: rows as i32,
+                    left: left as i32,
+                    left_end: (left + high_step).min(height) as i32,
+                    right: right as i32,
+                    right_end: (right + wide_step).min(columns) as i32,
+                    unused: 0,
+                });
+            }
         }
-        Ok(bytes(rows))
+        let row = stride(height.next_multiple_of(TILE[0]).min(high_step)) + stride(wide_step);
+        // While some rows are multiplied, the next ones are on their way.
+        4 * (2 * rows * row).max(4 * THREADS)
     }
 }
 
 /// A launch for several matrices.
 struct OuterLaunch {
+    /// For one share of the frames.
     shape: Shape,
     /// The first one's place in the table.
     first: usize,
@@ -93,7 +167,7 @@ struct OuterLaunch {
 /// The launches for all matrices, and their memory.
 pub(super) struct Outers {
     /// Shares of a window's frames that are summed up on their own.
-    splits: usize,
+    pub(super) splits: usize,
     /// `Outer` of the kernels for every block along y.
     table: Buffer,
     /// Of particles and of nodes, which take so many rows at a time.
@@ -119,16 +193,15 @@ impl Outers {
             pairs.into_iter().partition(|(_, rows)| rows.nodes.is_some());
         let (mut table, mut all) = (Vec::new(), Vec::new());
         for group in [of_particles, of_nodes].into_iter().filter(|group| !group.is_empty()) {
-            let (first, mut shared) = (table.len(), 0);
-            for (matrix, rows) in group {
-                shared = shared.max(rows.blocks(matrix, constants.nodes, &mut table)?);
+            let (begun, mut shared) = (table.len(), 0);
+            for (first, rows) in group {
+                shared = shared.max(rows.parts(first, &mut table));
             }
-            let shape = Shape::new(batch * splits, table.len() - first, THREADS);
-            all.push(OuterLaunch { shape: Shape { shared, ..shape }, first });
+            let shape = Shape { shared, ..Shape::new(batch, table.len() - begun, THREADS) };
+            all.push(OuterLaunch { shape, first: begun });
         }
-        let bytes: &[u8] = bytemuck::cast_slice(&table);
-        let buffer = device.allocate(bytes.len())?;
-        device.write(&buffer, 0, bytes)?;
+        let buffer = device.allocate(size_of_val(table.as_slice()))?;
+        device.write(&buffer, 0, bytemuck::cast_slice(&table))?;
         Ok(Self {
             splits,
             table: buffer,
@@ -139,13 +212,20 @@ impl Outers {
     }
 }
 
-/// Every matrix with its rows; a step has so many sheets.
-fn rows<'a>(
-    layout: &'a Layout,
+impl Outers {
+    /// The first share that has frames from `first` on only, of so many frames.
+    pub(super) fn shares_from(&self, first: usize, frames: usize) -> usize {
+        (first * self.splits).div_ceil(frames)
+    }
+}
+
+/// Where every matrix begins, with its rows; a step has so many sheets.
+fn rows(
+    layout: &Layout,
     constants: &TrainingConstants,
     plan: &Plan,
     sheets: usize,
-) -> Vec<(&'a Matrix, Rows)> {
+) -> Vec<(usize, Rows)> {
     let network = &constants.network;
     let (units, inputs) = (network.hidden_columns(), network.context_rows());
     let encoder_units = constants.encoder_columns();
@@ -159,19 +239,25 @@ fn rows<'a>(
     };
     let hidden = (plan.hidden, encoder_units);
     let mut all = vec![
-        (encoder, features),
-        (second, Rows::of_particles(hidden, (plan.by_encoded, network.encoded_columns()))),
+        (encoder.first, features),
+        (second.first, Rows::of_particles(hidden, (plan.by_encoded, network.encoded_columns()))),
     ];
     let fields = constants.fields();
     for (from, (matrix, layer)) in layout.grid.iter().zip(&network.grid).enumerate() {
         let to = from + 1;
         let read = (plan.fields[from], fields[from].1);
-        let lists = Rows::of_particles(read, (plan.slopes[to], fields[to].1));
-        let nodes = Some((layer.stencil, layer.node_level()));
-        all.push((matrix, Rows { nodes, ..lists }));
+        let written = (plan.slopes[to], fields[to].1);
+        let nodes = Some((NodeRows::Layer(layer.stencil), layer.node_level()));
+        all.push((matrix.first, Rows { nodes, ..Rows::of_particles(read, written) }));
+        if layer.stencil.children() > 1 {
+            // They share a bias: it is where the first one's would be.
+            let nodes = Some((NodeRows::Bias, layer.level));
+            let bias = matrix.first + matrix.bias * matrix.columns;
+            all.push((bias, Rows { nodes, ..Rows::of_particles((read.0, 0), written) }));
+        }
     }
     let by_context = (plan.by_context, units);
-    all.push((&layout.context, Rows::of_particles((plan.inputs, inputs), by_context)));
+    all.push((layout.context.first, Rows::of_particles((plan.inputs, inputs), by_context)));
     let rows = sheets * plan.most();
     // The outputs of a layer of the core, from those before the first frame on, or from those of the first frame on.
     let frame = rows / plan.frames();
@@ -187,34 +273,47 @@ fn rows<'a>(
             _ => outputs(layer - 1, 1),
         };
         let by_sums = Rows { strides: [units, slots], ..Rows::of_particles(input, gates) };
-        all.push((matrix, by_sums));
+        all.push((matrix.first, by_sums));
         if let Some(recurrent) = recurrent {
             // Of GRU, the last gate's part through the state is the slot behind the gates.
             let gap = slots - recurrent.columns;
             let last = outputs(layer, 0);
             let rows = Rows { gap, ..Rows::of_particles(last, gates) };
-            all.push((recurrent, Rows { strides: [units, slots], ..rows }));
+            all.push((recurrent.first, Rows { strides: [units, slots], ..rows }));
         }
     }
     let last = outputs(layout.core.len() - 1, 1);
-    all.push((&layout.mixer, Rows::of_particles(last, (plan.by_mixed, units))));
+    all.push((layout.mixer.first, Rows::of_particles(last, (plan.by_mixed, units))));
     let output = (plan.output, constants.output_columns());
-    all.push((&layout.decoder, Rows::of_particles((plan.mixed, units), output)));
+    all.push((layout.decoder.first, Rows::of_particles((plan.mixed, units), output)));
     all
 }
 
 impl Training {
-    /// The gradients by the weights, and their change.
+    /// The gradients by the weights of so many shares of the frames, beside the main queue.
+    pub(super) fn add_gradients(&self, first: usize, shares: usize) -> Result<()> {
+        let Outers { splits, table, all, parts, .. } = &self.outers;
+        for OuterLaunch { shape, first: outer } in all {
+            let arguments = [
+                self.plan(),
+                table.address().plus_bytes(outer * size_of::<Outer>()).into(),
+                parts.address().into(),
+                (*splits).into(),
+                first.into(),
+                self.layout.packing.size.into(),
+            ];
+            let [blocks, outers, _] = shape.grid;
+            let shape = Shape { grid: [blocks * shares, outers, 1], ..*shape };
+            self.launch_in(Queue::Side, Kernel::TrainOuter, shape, &arguments)?;
+        }
+        Ok(())
+    }
+
+    /// The gradients of all shares, and the change of the weights.
     pub(super) fn learn(&self) -> Result<()> {
         let (batch, size) = (self.settings.batch, self.layout.packing.size);
-        let Outers { splits, table, all, parts, broken } = &self.outers;
+        let Outers { splits, parts, broken, .. } = &self.outers;
         let (parts, ends) = (parts.address(), [(*splits).into(), size.into()]);
-        for OuterLaunch { shape, first } in all {
-            let [splits, size] = ends;
-            let outers = table.address().plus(first * WORDS);
-            let arguments = [self.plan(), outers.into(), parts.into(), splits, size];
-            self.launch(Kernel::TrainOuter, *shape, &arguments)?;
-        }
         self.device.clear(Queue::Main, broken)?;
         let [splits_argument, size_argument] = ends;
         self.launch(
