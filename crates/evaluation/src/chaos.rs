@@ -135,6 +135,7 @@ mod tests {
             material,
             first_sequence: 0,
             first_stamp: eddy_frames::Stamp(0),
+            stiffness: None,
             states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
         }
     }

@@ -113,6 +113,7 @@ mod tests {
             material: vec![Material::Liquid; 9],
             first_sequence: 0,
             first_stamp: Stamp::default(),
+            stiffness: None,
             states,
         })
     }

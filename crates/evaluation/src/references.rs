@@ -1,15 +1,10 @@
 //! Reference solvers, and the scenes that they need: those the streams were simulated from, read from the manifests
 //! beside the bags.
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    path::PathBuf,
-};
-
 use rayon::prelude::*;
 
 use super::{EvalError, EvaluationError, Predictor, Restart, chaos};
-use crate::dataset::{Trajectory, simulate::recorded_scenes};
+use crate::dataset::{Trajectory, simulate::ScenesBeside};
 use eddy_mpm::Scene;
 
 /// A solver that predicts from the same frames as the models.
@@ -69,16 +64,10 @@ impl References {
 
 /// The scene of each stream, or why one has none.
 fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, EvaluationError> {
-    let mut manifests: HashMap<PathBuf, BTreeMap<u64, Scene>> = HashMap::new();
+    let mut beside = ScenesBeside::default();
     let mut scenes = Vec::new();
     for stream in streams {
-        let folder = stream.source.parent().unwrap_or(&stream.source).to_owned();
-        if !manifests.contains_key(&folder) {
-            let found = recorded_scenes(&folder)?.unwrap_or_default();
-            manifests.insert(folder.clone(), found);
-        }
-        let scene = manifests.get(&folder).and_then(|manifest| manifest.get(&stream.id));
-        let Some(scene) = scene else {
+        let Some(scene) = beside.of(&stream.source, stream.id)? else {
             let (id, bag) = (stream.id, stream.source.display());
             return Ok(Err(format!(
                 "{bag}: stream {id}: no manifest.json of `eddy simulate` with its scene beside the bag"

@@ -174,6 +174,7 @@ mod tests {
             material: scene.particles().unwrap().iter().map(|p| p.material).collect(),
             first_sequence: 0,
             first_stamp: Stamp(0),
+            stiffness: None,
             states,
         }
     }

@@ -193,6 +193,7 @@ mod tests {
             material: frames[0].material.clone(),
             first_sequence: 0,
             first_stamp: Stamp(0),
+            stiffness: None,
             states: frames
                 .into_iter()
                 .map(|frame| State { position: frame.position, velocity: frame.velocity })

@@ -143,6 +143,7 @@ mod tests {
             material: vec![Material::Jelly],
             first_sequence: 0,
             first_stamp: Stamp(0),
+            stiffness: None,
             states: places.iter().map(state).collect(),
         }
     }

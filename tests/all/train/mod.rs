@@ -60,6 +60,7 @@ pub fn stream(id: u64) -> Stream {
         material,
         first_sequence: 0,
         first_stamp: Stamp(0),
+        stiffness: None,
         states,
     }
 }

@@ -16,6 +16,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::{
     DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
     frame_store::{self, BLOCK, Block, StreamLocation},
+    simulate::ScenesBeside,
     statistics::Bounds,
 };
 use eddy_bag::{BagReader, find_bags};
@@ -110,6 +111,10 @@ pub(super) fn load(
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
+    let mut beside = ScenesBeside::default();
+    for PartialStream { stream, .. } in &mut partials {
+        stream.stiffness = beside.stiffness(&stream.source, stream.id);
+    }
     if let Some(first) = partials.first() {
         for partial in &partials {
             check_same_setup(&first.stream, &partial.stream)?;

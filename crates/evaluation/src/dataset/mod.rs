@@ -36,7 +36,7 @@ pub use statistics::Bounds;
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use eddy_bag::BagError;
+use eddy_bag::{BagError, BagReader};
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::Normalization,
@@ -97,6 +97,17 @@ pub enum DatasetError {
         found: String,
         /// Its value in the first stream.
         expected: String,
+    },
+    /// The stiffness of a stream is not known.
+    #[error(
+        "{}: stream {stream}: stiffness: found nothing, expected manifest.json of `eddy simulate` with this scene beside the bag",
+        path.display()
+    )]
+    Stiffness {
+        /// The bag.
+        path: PathBuf,
+        /// The stream.
+        stream: u64,
     },
     /// A stream on disk has changed since the data set was loaded.
     #[error("{}: stream {stream}: its frames have changed since they were first read", path.display())]
@@ -181,6 +192,17 @@ pub fn load_trajectories(
     progress: &mut (dyn FnMut(u64, u64) + Send),
 ) -> Result<Vec<Trajectory>, DatasetError> {
     load::load(paths, memory, progress)
+}
+
+/// The stiffness of the first stream of a topic of a bag (density x velocity^2): the bag of a scene has one.
+///
+/// # Errors
+/// [`DatasetError::Stiffness`] if it is not known, [`DatasetError::Bag`] if the bag cannot be read.
+pub fn stiffness_of(bag: &BagReader, topic: &str) -> Result<f32, DatasetError> {
+    let first = bag.frames(topic)?.next().transpose()?;
+    let stream = first.map_or(0, |frame| frame.stream);
+    let unknown = || DatasetError::Stiffness { path: bag.path().to_owned(), stream };
+    simulate::ScenesBeside::default().stiffness(bag.path(), stream).ok_or_else(unknown)
 }
 
 fn check_same_setup(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {

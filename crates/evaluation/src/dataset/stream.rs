@@ -30,6 +30,8 @@ pub struct Stream {
     pub first_sequence: u64,
     /// Stamp of the first state.
     pub first_stamp: Stamp,
+    /// Young's modulus of its materials, if it is known (density x velocity^2).
+    pub stiffness: Option<f32>,
     /// The states, `dt` apart.
     pub states: Vec<State>,
 }
@@ -44,6 +46,7 @@ impl Stream {
             material: frame.material,
             first_sequence: frame.sequence,
             first_stamp: frame.stamp,
+            stiffness: None,
             states: vec![State { position: frame.position, velocity: frame.velocity }],
         }
     }

@@ -4,9 +4,11 @@ use std::{
 };
 
 use super::*;
+use crate::test_streams::simulated;
 use eddy_bag::{BagWriter, Compression, WriterOptions};
 use eddy_frames::{Domain, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_mpm::{Extent, Preset};
 
 const DT: f32 = 0.016;
 const FRAMES: usize = 40;
@@ -31,10 +33,43 @@ fn stream(id: u64) -> Stream {
         material: (0..PARTICLES).map(|i| Material::ALL[i % 2]).collect(),
         first_sequence: 0,
         first_stamp: Stamp(0),
+        stiffness: None,
         states: (0..FRAMES)
             .map(|frame| State { position: position(frame), velocity: velocity.clone() })
             .collect(),
     }
+}
+
+#[test]
+fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
+    let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
+    let (folder, streams) = simulated(extent, 2);
+    let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
+    for stream in &streams {
+        assert_eq!(stream.stiffness, Some(scenes[&stream.id].materials.stiffness));
+        assert_eq!(stream.cut(1..3).unwrap().stiffness, stream.stiffness);
+        let bag = BagReader::open(&stream.source).unwrap();
+        assert_eq!(stiffness_of(&bag, TRUTH_TOPIC).ok(), stream.stiffness);
+    }
+    let load = |memory| load_trajectories(&[folder.path().into()], memory, &mut |_, _| ()).unwrap();
+    assert_eq!(load(0)[1].stiffness, streams[1].stiffness, "on disk");
+
+    // Another bag with a stream of this id is not of this scene.
+    fs::rename(&streams[1].source, folder.path().join("other")).unwrap();
+    let renamed = load(u64::MAX);
+    assert_eq!((renamed[0].stiffness, renamed[1].stiffness), (streams[0].stiffness, None));
+    let message = renamed[1].known_stiffness().unwrap_err().to_string();
+    let expected = "expected manifest.json of `eddy simulate` with this scene beside the bag";
+    assert!(
+        message.ends_with(&format!("other: stream 1: stiffness: found nothing, {expected}")),
+        "{message}"
+    );
+    for manifest in ["{}", ""] {
+        fs::write(folder.path().join("manifest.json"), manifest).unwrap();
+        assert_eq!(load(u64::MAX)[0].stiffness, None, "a manifest that cannot be read");
+    }
+    fs::remove_file(folder.path().join("manifest.json")).unwrap();
+    assert_eq!(load(u64::MAX)[0].stiffness, None);
 }
 
 fn write_bag(path: &Path, streams: &[Stream]) {

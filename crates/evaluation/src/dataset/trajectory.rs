@@ -26,6 +26,9 @@ pub struct Trajectory {
     pub first_sequence: u64,
     /// Stamp of the first frame.
     pub first_stamp: Stamp,
+    /// Young's modulus of its materials, if it is known (density x velocity^2): that of its scene in the manifest beside a bag of
+    /// `eddy simulate`.
+    pub stiffness: Option<f32>,
     /// Number of frames.
     pub frames: usize,
     /// Bounding box of its positions (domain lengths).
@@ -63,7 +66,9 @@ impl Trajectory {
         rest: Vec<[f32; 2]>,
         storage: Storage,
     ) -> Self {
-        let Stream { id, source, dt, domain, material, first_sequence, first_stamp, .. } = stream;
+        let Stream {
+            id, source, dt, domain, material, first_sequence, first_stamp, stiffness, ..
+        } = stream;
         Self {
             id,
             source,
@@ -72,6 +77,7 @@ impl Trajectory {
             material,
             first_sequence,
             first_stamp,
+            stiffness,
             frames,
             bounds,
             rest: Arc::new(rest),
@@ -111,6 +117,15 @@ impl Trajectory {
         Ok(())
     }
 
+    /// Its stiffness.
+    ///
+    /// # Errors
+    /// [`DatasetError::Stiffness`] if it is not known.
+    pub fn known_stiffness(&self) -> Result<f32, DatasetError> {
+        let unknown = || DatasetError::Stiffness { path: self.source.clone(), stream: self.id };
+        self.stiffness.ok_or_else(unknown)
+    }
+
     /// Identifies the stream independently of its id and bag: the first 16 hexadecimal digits of the SHA-256 over its
     /// interval, materials and first two frames. The first frame alone would not distinguish a scene in water from the
     /// same scene in honey.
@@ -145,6 +160,7 @@ impl Trajectory {
             material: self.material.clone(),
             first_sequence: self.first_sequence + start as u64,
             first_stamp: self.first_stamp.advance(self.dt, start as u32),
+            stiffness: self.stiffness,
             states,
         })
     }

@@ -229,6 +229,7 @@ mod tests {
             material: vec![Material::Jelly; 288],
             first_sequence: 0,
             first_stamp: Stamp(0),
+            stiffness: None,
             states: states.collect(),
         }
     }

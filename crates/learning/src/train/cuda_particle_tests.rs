@@ -78,6 +78,7 @@ fn streams_of(sizes: [[usize; 2]; 2]) -> Vec<Trajectory> {
             material,
             first_sequence: 0,
             first_stamp: Stamp::default(),
+            stiffness: None,
             states,
         })
     };

@@ -52,6 +52,7 @@ pub(super) fn streams() -> Vec<Trajectory> {
             material,
             first_sequence: 0,
             first_stamp: Stamp::default(),
+            stiffness: None,
             states,
         })
     };

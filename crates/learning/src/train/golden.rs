@@ -284,6 +284,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
                 material: window.material.clone(),
                 first_sequence: 0,
                 first_stamp: Stamp::default(),
+                stiffness: None,
                 states: window.states.clone(),
             })
         });

@@ -336,6 +336,7 @@ mod cuda {
             material: vec![Material::Liquid; particles],
             first_sequence: 0,
             first_stamp: Stamp::default(),
+            stiffness: None,
             states: (0..frames).map(state).collect(),
         })
     }

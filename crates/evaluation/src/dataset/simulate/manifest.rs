@@ -2,7 +2,7 @@
 //! of the same form each in `.incomplete`, until [`Manifest::collect`] enters them.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashMap},
     fs,
     io::ErrorKind,
     path::{Path, PathBuf},
@@ -259,6 +259,38 @@ impl Manifest {
             serde_json::to_string(&self.request).map_err(invalid)?,
             scenes.join(",\n")
         ))
+    }
+}
+
+/// The scenes in the manifests beside bags; each manifest is read once.
+#[derive(Debug, Default)]
+pub(crate) struct ScenesBeside(HashMap<PathBuf, BTreeMap<u64, Scene>>);
+
+impl ScenesBeside {
+    /// The scene that a stream of a bag was simulated from; `None` without a manifest that has it.
+    pub(crate) fn of(&mut self, bag: &Path, stream: u64) -> Result<Option<&Scene>, SimulateError> {
+        let folder = bag.parent().unwrap_or(bag);
+        if !self.0.contains_key(folder) {
+            let found = recorded_scenes(folder)?.unwrap_or_default();
+            self.0.insert(folder.to_owned(), found);
+        }
+        Ok(self.0.get(folder).and_then(|scenes| scenes.get(&stream)))
+    }
+
+    /// The stiffness of a stream (density x velocity^2), if `eddy simulate` has written its bag: its manifest must have the scene,
+    /// and the bag its name. Where a manifest cannot be read, a warning says why, once.
+    pub(crate) fn stiffness(&mut self, bag: &Path, stream: u64) -> Option<f32> {
+        if bag.file_name()? != directory(stream).as_str() {
+            return None;
+        }
+        match self.of(bag, stream) {
+            Ok(scene) => scene.map(|scene| scene.materials.stiffness),
+            Err(error) => {
+                tracing::warn!("{error}: the stiffness of its scenes is not known");
+                self.0.insert(bag.parent()?.to_owned(), BTreeMap::new());
+                None
+            }
+        }
     }
 }
 

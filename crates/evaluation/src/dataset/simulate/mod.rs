@@ -31,6 +31,7 @@ use std::{
 use eddy_frames::progress::Progress;
 use eddy_mpm::{Accelerator, MpmError, Scene, Settings, Simulation};
 pub use error::SimulateError;
+pub(crate) use manifest::ScenesBeside;
 pub use manifest::{EnergyCurve, Finished, Start, recorded_scenes};
 use manifest::{Manifest, RecordedRequest};
 pub use plan::Planned;
