@@ -31,8 +31,8 @@ const TOLERANCE: f32 = 1e-5;
 fn descriptions() -> impl Strategy<Value = Description> {
     let channels = proptest::collection::vec(1usize..40, GridOptions::LEVELS);
     let widths = (1usize..40, 1usize..40, 1usize..3, channels);
-    let choices = (select(&Core::ALL[..]), any::<[bool; 2]>());
-    (choices, widths).prop_map(|((core, [log, normalize_gates]), widths)| {
+    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>());
+    (choices, widths).prop_map(|((core, [log, normalize_gates, stiffness]), widths)| {
         let (encoder, hidden, layers, channels) = widths;
         let sizes = Sizes { encoder, hidden, layers, particles: None };
         let mut description = description(Architecture::Particle, core, sizes);
@@ -40,6 +40,7 @@ fn descriptions() -> impl Strategy<Value = Description> {
         grid.channels = channels;
         description.form = if log { Form::Log } else { Form::Plain };
         description.normalize_gates = normalize_gates;
+        description.stiffness = stiffness;
         // Of a body of two random particles that nearly meet, the flight rule magnifies any difference.
         description.rules = Rules::default();
         description
@@ -154,6 +155,23 @@ fn a_stream_has_the_same_bits_alone_and_beside_others_of_other_sizes() {
     for core in Core::ALL {
         have_the_same_bits_alone_and_beside_others(&emulated(&small(core)), &streams);
     }
+}
+
+#[test]
+fn each_stream_has_a_stiffness_of_its_own() {
+    let mut description = small(Core::MinGru).description;
+    description.stiffness = true;
+    let surrogate = emulated(&checkpoint(description, 3));
+    // Streams of other sizes have another stiffness.
+    let streams: Vec<_> = [40, 90, 70].map(|particles| frames(3, particles, 6)).into();
+    have_the_same_bits_alone_and_beside_others(&surrogate, &streams);
+    let first = &streams[0][0];
+    let mut states = [1e3, 1e5].map(|e| surrogate.start_with_stiffness(first, Some(e)).unwrap());
+    let mut copy = states[1].clone();
+    let mut stepper = surrogate.stepper();
+    let [soft, stiff] = states.each_mut().map(|state| stepper.step(state, first));
+    assert_ne!(soft, stiff);
+    assert_eq!(stepper.step(&mut copy, first), stiff, "a copy");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use eddy_frames::Frame;
 use eddy_inference::engine::{StepRequest, Surrogate};
 
-use crate::streams::{frames, predict};
+use crate::streams::{frames, predict, stiffness};
 
 /// Every stream has the same bits beside the others, in a second run, and alone.
 pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams: &[Vec<Frame>]) {
@@ -13,8 +13,11 @@ pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams
     assert_ne!(alone[0], alone[1]);
 
     let mut stepper = surrogate.stepper();
-    let mut hidden: Vec<_> =
-        streams.iter().map(|frames| surrogate.start(&frames[0]).unwrap()).collect();
+    let begin = |frames: &Vec<Frame>| {
+        let stiffness = stiffness(surrogate.description(), &frames[0]);
+        surrogate.start_with_stiffness(&frames[0], stiffness).unwrap()
+    };
+    let mut hidden: Vec<_> = streams.iter().map(begin).collect();
     let mut predicted: Vec<Frame> = streams.iter().map(|frames| frames[0].clone()).collect();
     for number in 0..streams[0].len() {
         let pairs = hidden.iter_mut().zip(&mut predicted).zip(streams);

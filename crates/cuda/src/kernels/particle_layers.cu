@@ -169,6 +169,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stre
       }
       rest_shape(s.first, s.links, s.bodies, p, body, own + 14);
       own[14 + SHAPE_FEATURES + s.material[p]] = 1.0f;
+      if (F > 14 + SHAPE_FEATURES + MATERIALS) own[14 + SHAPE_FEATURES + MATERIALS] = s.stiffness;
     }
     __syncthreads();
     for (int i = threadIdx.x; i < count * (F4 / 4); i += THREADS)

@@ -83,7 +83,7 @@ struct Stream {
   u32 area_extent[2];            // nodes of the area's grid
   int area_inside[2][2];         // first node between the walls and end, on each axis
   float area_walls[2][2];        // lower and upper wall on each axis (nodes)
-  u32 unused;
+  float stiffness;               // its feature
 };
 
 __device__ __forceinline__ u32 first_thread() { return blockIdx.x * blockDim.x + threadIdx.x; }

@@ -16,7 +16,7 @@ use eddy_inference::{
     checkpoint::{
         Activation, Core, Description, Form, Weights,
         grid::{GridLayer, MAX_LISTS, grid_layers, grid_lists},
-        layout::{self, PARTICLE_FEATURES},
+        layout::{self, particle_features},
     },
     kernels::nodes::{MAX_LEVELS, origin},
 };
@@ -39,6 +39,8 @@ pub(super) const SHARED: [usize; 2] = [72 << 10, 150 << 10];
 /// What the kernels are compiled for: the widths and choices of a particle model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Constants {
+    /// F.
+    pub features: usize,
     /// E.
     pub encoder: usize,
     /// H.
@@ -93,6 +95,7 @@ impl Constants {
         };
         let sizes = &description.sizes;
         let mut constants = Self {
+            features: particle_features(description.stiffness),
             encoder: sizes.encoder,
             hidden: sizes.hidden,
             layers: sizes.layers,
@@ -129,7 +132,7 @@ impl Constants {
 
     /// Shared memory of a block of the encoder (bytes).
     pub(super) fn encode_bytes(&self) -> usize {
-        let widths = [PARTICLE_FEATURES, self.encoder, self.channels[0]];
+        let widths = [self.features, self.encoder, self.channels[0]];
         4 * self.tile * widths.map(|width| odd(four(width))).iter().sum::<usize>()
     }
 
@@ -148,7 +151,7 @@ impl Constants {
 
     /// F rounded up: the numbers of a particle's features.
     pub(super) fn feature_columns(&self) -> usize {
-        four(PARTICLE_FEATURES)
+        four(self.features)
     }
 
     /// C0 rounded up: the encoder's outputs.
@@ -198,7 +201,7 @@ impl Program for Constants {
         vec![
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
-            ("F", PARTICLE_FEATURES),
+            ("F", self.features),
             ("E", self.encoder),
             ("C0", self.channels[0]),
             ("LEVELS", self.levels()),
@@ -331,9 +334,8 @@ impl Layout {
             })
             .collect();
         // The gathered numbers begin behind the padded features.
-        let row = |input: usize| {
-            if input < PARTICLE_FEATURES { input } else { input - PARTICLE_FEATURES + features }
-        };
+        let own = constants.features;
+        let row = |input: usize| if input < own { input } else { input - own + features };
         let context =
             add(&mut all, named(layout::names("context")), constants.context_rows(), &row, 1);
         let rows = four(hidden);

@@ -87,7 +87,7 @@ pub(super) struct Row {
     area_extent: [u32; 2],
     area_inside: [[i32; 2]; 2],
     area_walls: [[f32; 2]; 2],
-    unused: u32,
+    stiffness: f32,
 }
 
 const _: () = assert!(size_of::<Row>() == 8 * (31 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
@@ -291,13 +291,15 @@ impl Places {
     }
 }
 
-/// What does not change in a stream: materials and rest shape.
+/// What does not change in a stream: materials, rest shape and stiffness.
 struct Fixed {
     buffer: Buffer,
     /// Where the links of each particle begin, and the links; nowhere if no particle has a rest shape.
     first: u64,
     links: u64,
     neighbours: u64,
+    /// The feature of the stiffness; 0 where the network is not told it.
+    stiffness: f32,
 }
 
 /// What is remembered of a stream.
@@ -386,6 +388,7 @@ impl Memory {
             area_extent: size.area.map(|nodes| nodes as u32),
             area_inside,
             area_walls,
+            stiffness: self.fixed.stiffness,
             ..row
         }
     }
@@ -429,7 +432,7 @@ impl StreamMemory for Memory {
 
 impl Fixed {
     fn new(device: &dyn Device, stream: &StreamStart<'_>) -> Result<Self> {
-        let StreamStart { material, rest, .. } = stream;
+        let StreamStart { material, rest, stiffness, .. } = *stream;
         let mut numbers: Vec<u32> = vec![0; round_up(material.len().div_ceil(4), LINE)];
         bytemuck::cast_slice_mut(&mut numbers)[..material.len()].copy_from_slice(material);
         let mut places = [0; 3];
@@ -464,6 +467,7 @@ impl Fixed {
             place => buffer.address().plus(place).0,
         };
         let [first, links, neighbours] = places.map(at);
-        Ok(Self { first, links, neighbours, buffer })
+        let stiffness = stiffness.unwrap_or_default();
+        Ok(Self { first, links, neighbours, stiffness, buffer })
     }
 }

@@ -75,6 +75,10 @@ pub struct Description {
     /// Whether minLSTM's gates are divided by their sum, f' = f / (f + i), i' = i / (f + i).
     #[serde(default = "normalized", skip_serializing_if = "is_normalized")]
     pub normalize_gates: bool,
+    /// Particle model: whether the network is told the stiffness of a stream, as one more feature of every particle, the last: another
+    /// input of `encoder.0`, and of `context` before those from the grid.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stiffness: bool,
     /// Time between two frames (s).
     pub dt: f32,
     /// Number of frames to observe before predictions are published.
@@ -114,6 +118,7 @@ impl Description {
             core,
             form: Form::default(),
             normalize_gates: true,
+            stiffness: false,
             dt: 0.016,
             warm_up: 2,
             gravity: [0.0, -9.8],
@@ -213,6 +218,8 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             let expected = "nothing for the frame model";
             require(grid.is_none(), "surroundings", &"a table", expected)?;
             require(description.rules.is_empty(), "rules", &"a table", expected)?;
+            let expected = "false for the frame model";
+            require(!description.stiffness, "stiffness", &"true", expected)?;
         }
         Architecture::Particle => {
             let expected = "nothing for the particle model";

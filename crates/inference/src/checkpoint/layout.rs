@@ -46,8 +46,12 @@ pub fn frame_features(material: MaterialInput) -> usize {
     }
 }
 
-/// Number of input features of the particle model, listed in `model/features.rs` of `eddy-learning`.
-pub const PARTICLE_FEATURES: usize = 19 + Material::COUNT;
+/// Number of input features of the particle model, listed in `model/features.rs` of `eddy-learning`; the stiffness of the stream,
+/// if the network is told it, is the last.
+pub fn particle_features(stiffness: bool) -> usize {
+    19 + Material::COUNT + usize::from(stiffness)
+}
+
 /// Inputs of a node beside the channels: its mass, and its proximity to each wall.
 pub const NODE_FEATURES: usize = 5;
 
@@ -92,11 +96,11 @@ pub fn names(layer: &str) -> [String; 2] {
 
 /// The linear layers of a network, from input to output.
 pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
-    let Description { architecture, core, sizes, frame, grid, .. } = description;
+    let Description { architecture, core, stiffness, sizes, frame, grid, .. } = description;
     let hidden = sizes.hidden;
     let (features, outputs) = match architecture {
         Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
-        Architecture::Particle => (PARTICLE_FEATURES, 4),
+        Architecture::Particle => (particle_features(*stiffness), 4),
     };
     let encoded = grid.as_ref().map_or(hidden, |grid| grid.channels[0]);
     let pooled = match frame.pooling {

@@ -11,6 +11,7 @@ fn checkpoint() -> Checkpoint {
         core: Core::MinGru,
         form: Form::Plain,
         normalize_gates: true,
+        stiffness: false,
         dt: 0.016,
         warm_up: 5,
         gravity: [0.0, -9.8],
@@ -85,6 +86,51 @@ fn a_checkpoint_is_loaded_as_it_was_saved() {
     let saved = checkpoint();
     saved.save(&directory).unwrap();
     assert_eq!(Checkpoint::load(&directory).unwrap(), saved);
+}
+
+#[test]
+fn a_checkpoint_that_is_told_the_stiffness_has_a_key_and_an_input_more() {
+    let (folder, plain) = (tempfile::tempdir().unwrap(), checkpoint());
+    let mut told = plain.clone();
+    told.description.stiffness = true;
+    for layer in ["encoder.0", "context"] {
+        let name = format!("{layer}.weight");
+        let rows = plain.tensors[&name].shape[0];
+        let weights = told.tensors.get_mut(&name).unwrap();
+        weights.shape[1] += 1;
+        weights.values.extend(vec![0.5; rows]);
+    }
+    told.save(folder.path()).unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), told);
+    let text = fs::read_to_string(folder.path().join(DESCRIPTION_FILE)).unwrap();
+    assert!(text.contains("\nstiffness = true\n"), "{text}");
+
+    let without = |folder: &Path| {
+        plain.save(folder).unwrap();
+        edit_description("dt = ", "stiffness = true\ndt = ")(folder);
+    };
+    let message = rejection(without);
+    let expected = "context.weight: found shape [2, 25], expected [2, 26]";
+    assert_eq!(message, format!("x/model.safetensors: {expected}"));
+}
+
+#[test]
+fn a_checkpoint_without_the_key_keeps_its_digest() {
+    let checkpoint = golden(2);
+    assert!(!checkpoint.description.stiffness);
+    let files = [include_bytes!("golden/version_2/model.toml"), golden_weights()].concat();
+    assert_eq!(checkpoint.digest(), format!("{:x}", Sha256::digest(files)));
+}
+
+#[test]
+fn the_frame_model_is_not_told_the_stiffness() {
+    let sizes = Sizes { encoder: 2, hidden: 2, layers: 1, particles: Some(3) };
+    let mut description = Description::untrained(Architecture::Frame, Core::Mlp, sizes);
+    description.stiffness = true;
+    let tensors = initial_weights(&description, 1);
+    let message = Checkpoint::new(description, tensors).check(Path::new("x")).unwrap_err();
+    let expected = "stiffness: found true, expected false for the frame model";
+    assert_eq!(message.to_string(), format!("x/model.toml: {expected}"));
 }
 
 #[test]

@@ -43,6 +43,14 @@ pub enum ModelError {
         /// The checkpoint's (s).
         expected: f32,
     },
+    /// A stream's stiffness that the network cannot use, or none where it is told one.
+    #[error("stiffness: found {found}, expected {expected}")]
+    Stiffness {
+        /// The stiffness, or nothing.
+        found: String,
+        /// What it should be.
+        expected: &'static str,
+    },
     /// The domain differs from the one in training (frame model only).
     #[error("lower, upper: found {found}, expected {expected} as in the checkpoint")]
     Domain {

@@ -30,6 +30,8 @@ pub struct HiddenState {
     pub(super) material: Vec<u8>,
     /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
     pub(super) rest: Arc<RestShape>,
+    /// The feature of the stream's stiffness, if the network is told it.
+    pub(super) stiffness: Option<f32>,
     /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
     /// [`stride`] long. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
@@ -46,7 +48,7 @@ pub struct HiddenState {
 
 impl HiddenState {
     /// The state for the particles of `frame` before the first observed frame.
-    pub(super) fn new(description: &Description, frame: &Frame) -> Self {
+    pub(super) fn new(description: &Description, frame: &Frame, stiffness: Option<f32>) -> Self {
         let particles = frame.len();
         let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
         let (mut order, mut rest) = (Vec::new(), RestShape::default());
@@ -67,6 +69,7 @@ impl HiddenState {
             order: Arc::new(order),
             material,
             rest: Arc::new(rest),
+            stiffness,
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],
             expected_velocity: vec![[0.0; 2]; expected_velocity],
@@ -81,6 +84,7 @@ impl HiddenState {
             order: Arc::default(),
             material,
             rest: Arc::default(),
+            stiffness: None,
             hidden: Vec::new(),
             cell: Vec::new(),
             expected_velocity: Vec::new(),
@@ -112,6 +116,7 @@ impl Clone for HiddenState {
             order: Arc::clone(&self.order),
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
+            stiffness: self.stiffness,
             hidden: self.hidden.clone(),
             cell: self.cell.clone(),
             expected_velocity: self.expected_velocity.clone(),
@@ -121,10 +126,21 @@ impl Clone for HiddenState {
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self { order, material, rest, hidden, cell, expected_velocity, begun, device } = self;
+        let Self {
+            order,
+            material,
+            rest,
+            stiffness,
+            hidden,
+            cell,
+            expected_velocity,
+            begun,
+            device,
+        } = self;
         *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
+        *stiffness = other.stiffness;
         hidden.clone_from(&other.hidden);
         cell.clone_from(&other.cell);
         expected_velocity.clone_from(&other.expected_velocity);
@@ -138,8 +154,19 @@ impl Clone for HiddenState {
 
 impl PartialEq for HiddenState {
     fn eq(&self, other: &Self) -> bool {
-        let Self { order, material, rest, hidden, cell, expected_velocity, begun, device } = self;
-        (order, material, rest) == (&other.order, &other.material, &other.rest)
+        let Self {
+            order,
+            material,
+            rest,
+            stiffness,
+            hidden,
+            cell,
+            expected_velocity,
+            begun,
+            device,
+        } = self;
+        (order, material, rest, stiffness)
+            == (&other.order, &other.material, &other.rest, &other.stiffness)
             && (hidden, cell, expected_velocity)
                 == (&other.hidden, &other.cell, &other.expected_velocity)
             && *begun == other.begun

@@ -7,8 +7,8 @@ use super::{
     Ballistic,
     core::CoreLayer,
     linear::store,
-    particle_features::{FEATURES, Motion, ballistic_motion},
-    particle_model::{BLOCK, COLUMNS, LayerBuffers, ParticleModel, StepContext},
+    particle_features::{Motion, ballistic_motion},
+    particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
     products::{Columns, Concatenated, Output, Rows, apply},
 };
 use crate::{checkpoint::grid::READ, kernels::transfer::gather};
@@ -29,13 +29,13 @@ impl StepContext<'_> {
         let ParticleModel { features, encoder: [first, second], .. } = self.model;
         let block = self.block(item);
         let particles = &self.nodes.order()[block.clone()];
-        let (count, stride) = (block.len(), second.stride());
+        let (count, stride, length) = (block.len(), second.stride(), self.model.columns());
         let sums = self.segments.sums(item);
         // SAFETY: no other running item has this thread number or this block.
         let (buffers, columns, motions, sums) = unsafe {
             (
                 &mut self.buffers.part(thread..thread + 1)[0],
-                self.features.part(item * COLUMNS..(item + 1) * COLUMNS),
+                self.features.part(item * length..(item + 1) * length),
                 self.ballistic_motion.part(block),
                 self.sums.part(sums.start * stride..sums.end * stride),
             )
@@ -63,7 +63,7 @@ impl StepContext<'_> {
             unsafe { self.expected_velocity.part(particle..particle + 1)[0] = motion.1 };
         }
 
-        let input = Columns { numbers: columns, width: FEATURES, length: BLOCK };
+        let input = Columns { numbers: columns, width: features.count, length: BLOCK };
         let mut output = Output { numbers: hidden, width: first.stride(), rectify: true };
         apply(simd, first, count, &input, &mut output);
         let input = Rows { numbers: hidden, width: first.stride() };
@@ -78,13 +78,13 @@ impl StepContext<'_> {
         let model = self.model;
         let (block, channels, width) = (self.block(item), model.grid.read_width(), self.width);
         let particles = &self.nodes.order()[block.clone()];
-        let count = block.len();
+        let (count, length) = (block.len(), model.columns());
         let field = &self.fields[READ];
         // SAFETY: no other running item has this thread number, and this stage only reads the other lists.
         let (buffers, columns, ballistic_motion, field) = unsafe {
             (
                 &mut self.buffers.part(thread..thread + 1)[0],
-                self.features.read(item * COLUMNS..(item + 1) * COLUMNS),
+                self.features.read(item * length..(item + 1) * length),
                 self.ballistic_motion.read(block.clone()),
                 field.read(0..self.nodes.level(0).len() * channels),
             )
@@ -100,7 +100,7 @@ impl StepContext<'_> {
             |slot| slot - block.start,
             input,
         );
-        let features = Columns { numbers: columns, width: FEATURES, length: BLOCK };
+        let features = Columns { numbers: columns, width: model.features.count, length: BLOCK };
         let read = Rows { numbers: input, width: channels };
         let mut sink = Output { numbers: output, width, rectify: true };
         apply(simd, &model.context, count, &Concatenated(features, read), &mut sink);

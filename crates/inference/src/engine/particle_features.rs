@@ -8,16 +8,13 @@ use super::{
     scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 use crate::{
-    checkpoint::{Description, layout::PARTICLE_FEATURES},
+    checkpoint::{Description, layout::particle_features},
     kernels::{
         math::exp,
         rest_shape::{RestShape, SHAPE_FEATURES},
     },
 };
-use eddy_frames::Domain;
-
-/// F.
-pub(super) const FEATURES: usize = PARTICLE_FEATURES;
+use eddy_frames::{Domain, Material};
 
 /// Proximity to four walls at two scales.
 const PROXIMITIES: usize = 8;
@@ -30,6 +27,8 @@ pub(super) const STATE_COLUMNS: usize = 10;
 const WALLS: usize = 6;
 const SHAPE: usize = WALLS + PROXIMITIES;
 const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
+/// The stiffness of the stream, if the network is told it.
+const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
 /// Position and velocity of a particle.
 pub(super) type Motion = ([f32; 2], [f32; 2]);
@@ -40,6 +39,8 @@ pub(super) struct Features {
     /// In the checkpoint's domain.
     ballistic: Ballistic,
     domain: Domain,
+    /// F.
+    pub(super) count: usize,
     /// Unit of velocities (domain lengths per second).
     pub(super) velocity_unit: f32,
 }
@@ -52,6 +53,8 @@ pub(super) struct ParticleInputs<'a> {
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],
     pub(super) rest: &'a RestShape,
+    /// The feature of the stream's stiffness, if the network is told it.
+    pub(super) stiffness: Option<f32>,
 }
 
 impl Features {
@@ -59,6 +62,7 @@ impl Features {
         Self {
             ballistic: Ballistic::new(description),
             domain: description.domain,
+            count: particle_features(description.stiffness),
             velocity_unit: velocity_unit(&description.normalization),
         }
     }
@@ -82,9 +86,12 @@ impl Features {
         (states, length): (&mut [f32], usize),
         columns: &mut [f32],
     ) {
-        let ParticleInputs { position, velocity, material, rest, .. } = inputs;
+        let ParticleInputs { position, velocity, material, rest, stiffness, .. } = inputs;
         let (shape, last) = columns.split_at_mut(MATERIAL * length);
         last.fill(0.0);
+        if let Some(stiffness) = stiffness {
+            last[(STIFFNESS - MATERIAL) * length..].fill(*stiffness);
+        }
         for (place, &particle) in particles.iter().enumerate() {
             let particle = particle as usize;
             let seen = [position[particle], velocity[particle], expected_velocity(particle)];

@@ -16,7 +16,7 @@ use super::{
     hidden_state::{HiddenState, stride},
     linear::Linear,
     order::reorder,
-    particle_features::{FEATURES, Features, Motion, ParticleInputs, STATE_COLUMNS},
+    particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
     rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
     scatter::Segments,
@@ -33,9 +33,6 @@ use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 /// Particles per block: a multiple of the rows that are computed at once.
 pub(super) const BLOCK: usize = 48;
-
-/// Length of a block's features.
-pub(super) const COLUMNS: usize = BLOCK * FEATURES;
 
 /// The packed network.
 #[derive(Debug)]
@@ -118,6 +115,11 @@ impl ParticleModel {
             grid,
             rules,
         }
+    }
+
+    /// Length of a block's features.
+    pub(super) fn columns(&self) -> usize {
+        BLOCK * self.features.count
     }
 
     /// Approximate number of multiplications per particle and frame, without the layers on nodes.
@@ -205,6 +207,7 @@ impl ParticleModel {
                 ballistic,
                 material: &hidden_state.material,
                 rest: &hidden_state.rest,
+                stiffness: hidden_state.stiffness,
             },
             place: &hidden_state.order,
             walls,
@@ -231,7 +234,7 @@ impl ParticleModel {
     fn resize(&self, scratch: &mut Scratch, particles: usize) {
         let Scratch { grid, features, segments, segment_sums, ballistic_motion, .. } = scratch;
         self.grid.resize(grid);
-        features.resize(particles.div_ceil(BLOCK) * COLUMNS, 0.0);
+        features.resize(particles.div_ceil(BLOCK) * self.columns(), 0.0);
         let [sums, most] =
             segments.cut(&grid.nodes, BLOCK).map(|nodes| nodes * self.grid.written_width());
         segment_sums.reserve(most.saturating_sub(segment_sums.len()));

@@ -12,6 +12,13 @@ pub const MIN_MASS: f32 = 1e-3;
 /// Particles per cell of the finest level in a full cell: a solver has four in a cell half as wide.
 pub const FULL_MASS: f32 = 16.0;
 
+/// Young's modulus whose feature is 0 (density x velocity^2), and the decades from there to a feature of 1: 3e2 to 3e5, around the
+/// presets' 1e3 and 1e5, become about -1 to 1.
+const MIDDLE_STIFFNESS: f64 = 1e4;
+const STIFFNESS_DECADES: f64 = 1.5;
+/// Largest feature of the stiffness; the smallest is its negative (56 and 1.8e6): beyond, a network would extrapolate.
+const MAX_STIFFNESS_FEATURE: f64 = 1.5;
+
 /// By how much predicted velocities may exceed the range in training, as a share of that range.
 const VELOCITY_MARGIN: f32 = 0.25;
 
@@ -30,4 +37,11 @@ pub fn velocity_limits(scale: &Normalization) -> ([f32; 2], [f32; 2]) {
         })
     };
     (bound(-1.0, scale.minimum), bound(1.0, scale.maximum))
+}
+
+/// The particle model's feature for a stiffness: Young's modulus (density x velocity^2).
+pub fn stiffness_feature(stiffness: f32) -> f32 {
+    let decades = (f64::from(stiffness) / MIDDLE_STIFFNESS).log10();
+    let feature = decades / STIFFNESS_DECADES;
+    feature.clamp(-MAX_STIFFNESS_FEATURE, MAX_STIFFNESS_FEATURE) as f32
 }

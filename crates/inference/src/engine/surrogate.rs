@@ -6,7 +6,7 @@ use pulp::Arch;
 
 use super::{
     Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
-    particle_model::ParticleModel, stepper::Network, warning,
+    particle_model::ParticleModel, scales::stiffness_feature, stepper::Network, warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
@@ -184,6 +184,24 @@ impl Surrogate {
         in_range(&frame, &self.description)
     }
 
+    /// Checks the stiffness of a stream (density x velocity^2), or that none is given.
+    ///
+    /// # Errors
+    /// [`ModelError::Stiffness`] if the network is told the stiffness and it is missing or not a positive number, or if it is given
+    /// and the network does not use it.
+    pub fn check_stiffness(&self, stiffness: Option<f32>) -> Result<(), ModelError> {
+        let expected = match (self.description.stiffness, stiffness) {
+            (false, None) => return Ok(()),
+            (true, Some(given)) if given.is_finite() && given > 0.0 => return Ok(()),
+            (false, Some(_)) => "nothing: the checkpoint does not use it",
+            (true, _) => {
+                "Young's modulus of the stream, a positive number: the checkpoint is told it"
+            }
+        };
+        let found = stiffness.map_or("nothing".to_owned(), |stiffness| stiffness.to_string());
+        Err(ModelError::Stiffness { found, expected })
+    }
+
     /// Warnings about a stream that begins with a frame that [`Surrogate::fits`]: the network can predict it, but was not
     /// trained for it.
     pub fn warnings(&self, frame: &Frame) -> Vec<Warning> {
@@ -194,9 +212,25 @@ impl Surrogate {
     /// to [`Stepper::step_into`] first. The particle model takes the shape of jelly and rope in `frame` as their rest shape.
     ///
     /// # Errors
-    /// As [`Surrogate::fits`].
+    /// As [`Surrogate::fits`]; [`ModelError::Stiffness`] if the network is told the stiffness of a stream
+    /// ([`Surrogate::start_with_stiffness`]).
     pub fn start(&self, frame: &Frame) -> Result<HiddenState, ModelError> {
+        self.start_with_stiffness(frame, None)
+    }
+
+    /// As [`Surrogate::start`], with the stream's stiffness: Young's modulus of its materials (density x velocity^2), for a network
+    /// that is told it.
+    ///
+    /// # Errors
+    /// As [`Surrogate::fits`] and [`Surrogate::check_stiffness`].
+    pub fn start_with_stiffness(
+        &self,
+        frame: &Frame,
+        stiffness: Option<f32>,
+    ) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
+        self.check_stiffness(stiffness)?;
+        let stiffness = stiffness.map(stiffness_feature);
         match &*self.network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
@@ -205,11 +239,15 @@ impl Surrogate {
                     RestShape::new(&frame.position, &frame.material, 1, grid.spacing)
                 });
                 let domain = frame.domain;
-                let state =
-                    device.start(&StreamStart { material: &material, domain, rest: &rest })?;
+                let state = device.start(&StreamStart {
+                    material: &material,
+                    domain,
+                    rest: &rest,
+                    stiffness,
+                })?;
                 Ok(HiddenState::on_device(material, state))
             }
-            _ => Ok(HiddenState::new(&self.description, frame)),
+            _ => Ok(HiddenState::new(&self.description, frame, stiffness)),
         }
     }
 }

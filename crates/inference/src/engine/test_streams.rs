@@ -90,8 +90,15 @@ pub(super) fn instruction_sets() -> Vec<Arch> {
     sets
 }
 
+/// The stiffness of a stream that begins with a frame, if the network is told it.
+pub(super) fn stiffness(description: &Description, first: &Frame) -> Option<f32> {
+    description.stiffness.then(|| 300.0 * first.len() as f32)
+}
+
 /// The prediction after each frame of a stream.
 pub(super) fn predict(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
-    let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
+    let stiffness = stiffness(surrogate.description(), &frames[0]);
+    let mut hidden = surrogate.start_with_stiffness(&frames[0], stiffness).unwrap();
+    let mut stepper = surrogate.stepper();
     frames.iter().map(|frame| stepper.step(&mut hidden, frame)).collect()
 }

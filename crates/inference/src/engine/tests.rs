@@ -6,11 +6,14 @@ mod streams;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Corrector, HiddenState, ModelError, Surrogate, scales::velocity_unit};
+use super::{
+    Corrector, HiddenState, ModelError, Surrogate,
+    scales::{stiffness_feature, velocity_unit},
+};
 use crate::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, FrameOptions, GridOptions, Normalization,
-        Pooling, Rules, Sizes, initial_weights,
+        Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
     },
     kernels::rest_shape::RestShape,
 };
@@ -148,6 +151,87 @@ fn a_state_that_forgot_its_frames_keeps_the_rest_shape() {
     hidden.forget();
     assert_eq!(hidden, surrogate.start(&frames[0]).unwrap());
     assert_ne!(hidden, surrogate.start(&frames[2]).unwrap(), "the rest shape is the first frame's");
+}
+
+/// A particle model that is told the stiffness.
+fn told() -> Surrogate {
+    let mut description = particle_model(Core::MinGru).description;
+    description.stiffness = true;
+    Surrogate::load(&checkpoint(description, 5), threads(1)).unwrap()
+}
+
+#[test]
+fn a_network_that_is_told_the_stiffness_predicts_by_it_up_to_the_limits_of_its_feature() {
+    let (surrogate, frames) = (told(), frames(3, 100, 3));
+    let predict = |stiffness: f32| {
+        let mut hidden = surrogate.start_with_stiffness(&frames[0], Some(stiffness)).unwrap();
+        let mut copy = hidden.clone();
+        let mut stepper = surrogate.stepper();
+        let first = stepper.step(&mut hidden, &frames[0]);
+        hidden.forget();
+        assert_eq!(stepper.step(&mut hidden, &frames[0]), first, "a state that forgot its frames");
+        assert_eq!(stepper.step(&mut copy, &frames[0]), first, "a copy");
+        first
+    };
+    assert_ne!(predict(1e3), predict(1e5));
+    assert_ne!(predict(100.0), predict(60.0));
+    assert_eq!(predict(50.0), predict(1e-3));
+    assert_eq!(predict(2e6), predict(1e9));
+}
+
+#[test]
+fn a_network_that_ignores_the_stiffness_predicts_as_one_that_is_not_told_it() {
+    let plain = particle_model(Core::MinGru);
+    let mut told = plain.clone();
+    told.description.stiffness = true;
+    let features = particle_features(false);
+    for layer in ["encoder.0.weight", "context.weight"] {
+        let Weights { shape, values } = told.tensors.get_mut(layer).unwrap();
+        let rows = values.chunks(shape[1]);
+        let wider = rows.map(|row| [&row[..features], &[0.0], &row[features..]].concat());
+        *values = wider.collect::<Vec<_>>().concat();
+        shape[1] += 1;
+    }
+    let frames = frames(3, 200, 4);
+    let [plain, told] = [plain, told]
+        .map(|checkpoint| predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames));
+    assert_eq!(plain, told);
+}
+
+#[test]
+fn the_feature_of_the_stiffness_is_a_logarithm() {
+    assert_eq!(
+        [1e4, 1e4 * 10f32.powf(1.5), 1.0, 1e9].map(stiffness_feature),
+        [0.0, 1.0, -1.5, 1.5]
+    );
+    for (stiffness, about) in [(300.0, -1.0f32), (3e5, 1.0)] {
+        assert!((stiffness_feature(stiffness) - about).abs() < 0.02);
+    }
+}
+
+#[test]
+fn a_stiffness_that_is_missing_invalid_or_not_used_is_rejected() {
+    let frame = frames(1, 100, 3).remove(0);
+    let rejection = |surrogate: &Surrogate, stiffness| {
+        surrogate.start_with_stiffness(&frame, stiffness).err().unwrap().to_string()
+    };
+    let expected =
+        "Young's modulus of the stream, a positive number: the checkpoint is told it".to_owned();
+    for (stiffness, found) in [
+        (None, "nothing"),
+        (Some(0.0), "0"),
+        (Some(-3.0), "-3"),
+        (Some(f32::INFINITY), "inf"),
+        (Some(f32::NAN), "NaN"),
+    ] {
+        let message = rejection(&told(), stiffness);
+        assert_eq!(message, format!("stiffness: found {found}, expected {expected}"));
+    }
+    assert!(told().start(&frame).is_err());
+    let other = Surrogate::load(&particle_model(Core::MinGru), threads(1)).unwrap();
+    let expected = "nothing: the checkpoint does not use it";
+    let message = rejection(&other, Some(1e3));
+    assert_eq!(message, format!("stiffness: found 1000, expected {expected}"));
 }
 
 #[test]

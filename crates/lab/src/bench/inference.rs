@@ -100,7 +100,7 @@ impl Case {
             }
             Engine::Burn(device) => {
                 let reference = Reference::load(&self.checkpoint, device)?;
-                let mut memory = reference.start(&self.frame);
+                let mut memory = reference.start(&self.frame, None);
                 time(seconds, || {
                     reference.step(&mut memory, &self.frame);
                 })

@@ -18,7 +18,8 @@ use eddy_inference::{
     engine::{Surrogate, scales::velocity_unit},
 };
 use streams::{
-    DT, checkpoint, description, frames, instruction_sets, largest_difference, predict, threads,
+    DT, checkpoint, description, frames, instruction_sets, largest_difference, predict, stiffness,
+    threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -77,15 +78,16 @@ fn rules() -> impl Strategy<Value = Rules> {
 /// Descriptions of all kinds, with the number of particles to predict.
 fn descriptions() -> impl Strategy<Value = (Description, usize)> {
     let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
-    let choices = (select(&Core::ALL[..]), any::<[bool; 2]>(), frame_options(), grid(), rules());
+    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>(), frame_options(), grid(), rules());
     (any::<bool>(), choices, sizes).prop_map(
         |(whole, choices, (encoder, hidden, layers, particles))| {
-            let (core, [log, normalize_gates], frame, grid, rules) = choices;
+            let (core, [log, normalize_gates, stiffness], frame, grid, rules) = choices;
             let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
             let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
             let description = Description {
                 form: if log { Form::Log } else { Form::Plain },
                 normalize_gates,
+                stiffness: stiffness && !whole,
                 frame: if whole { frame } else { FrameOptions::default() },
                 grid: (!whole).then_some(grid),
                 rules: if whole { Rules::default() } else { rules },
@@ -112,7 +114,7 @@ proptest! {
         let checkpoint = checkpoint(description, seed);
         let frames = frames(5, particles, seed);
         let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
-        let mut memory = reference.start(&frames[0]);
+        let mut memory = reference.start(&frames[0], stiffness(&checkpoint.description, &frames[0]));
         let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
         for set in instruction_sets() {
             let surrogate = Surrogate::load_for(&checkpoint, threads(1), set).unwrap();
@@ -194,7 +196,7 @@ fn every_rule_changes_a_scene_made_for_it_as_it_does_in_burn() {
         assert!(difference > 1e-4, "{rule}: {difference}");
     }
     let reference = Reference::load(&hovering(Rules::STANDARD), DeviceKind::Flex).unwrap();
-    let mut memory = reference.start(&frames[0]);
+    let mut memory = reference.start(&frames[0], None);
     for (frame, found) in frames.iter().zip(&corrected) {
         let expected = reference.step(&mut memory, frame);
         check(found, &expected, &hovering(Rules::STANDARD).description).unwrap();

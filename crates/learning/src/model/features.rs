@@ -3,7 +3,7 @@
 //! Frame model: x, y, vx, vy, normalised by minimum and maximum of the training split (the paper's eq. 1) or by mean and
 //! standard deviation, and the material, one-hot or as one number.
 //!
-//! Particle model ([`PARTICLE_FEATURES`]); pairs are along x and y:
+//! Particle model ([`particle_features`]); pairs are along x and y:
 //!
 //! | inputs | feature |
 //! |---|---|
@@ -13,9 +13,13 @@
 //! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
 //! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
+//! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is told it |
 //!
 //! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
 //! in the domain, which may be larger than in training.
+//!
+//! [`particle_features`]: eddy_inference::checkpoint::layout::particle_features
+//! [`stiffness_feature`]: eddy_inference::engine::scales::stiffness_feature
 
 use burn::tensor::{Device, Tensor};
 
@@ -25,9 +29,7 @@ use super::{
 };
 use eddy_frames::Material;
 use eddy_inference::{
-    checkpoint::{
-        FeatureScaling, FrameOptions, MaterialInput, Normalization, layout::PARTICLE_FEATURES,
-    },
+    checkpoint::{FeatureScaling, FrameOptions, MaterialInput, Normalization},
     engine::scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 
@@ -94,7 +96,7 @@ impl Scaling {
     }
 
     /// Input of the particle model, `[R, F]`. `residual` is the velocity residual, `[R, 2]`, and `motion` the coming ballistic
-    /// step; `shape` is `[R, 5]`.
+    /// step; `shape` is `[R, 5]`, `constants` [`StaticInputs::constants`](super::state::StaticInputs::constants).
     pub(crate) fn particle(
         &self,
         state: &ParticleState,
@@ -102,23 +104,21 @@ impl Scaling {
         motion: &BallisticMotion,
         walls: &BallisticTensors,
         shape: Tensor<2>,
-        material: Tensor<2>,
+        constants: Tensor<2>,
     ) -> Tensor<2> {
         let below = (state.position.clone() - walls.lower.clone()).clamp_min(0.0);
         let above = (walls.upper.clone() - state.position.clone()).clamp_min(0.0);
         let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
         let velocities = vec![state.velocity.clone(), residual, motion.wall_impulse.clone()];
-        let features = Tensor::cat(
+        Tensor::cat(
             vec![
                 Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),
                 distance.clone().mul_scalar(-1.0 / CONTACT_SCALE).exp(),
                 distance.mul_scalar(-1.0 / BODY_SCALE).exp(),
                 shape,
-                material,
+                constants,
             ],
             1,
-        );
-        debug_assert_eq!(features.dims()[1], PARTICLE_FEATURES);
-        features
+        )
     }
 }

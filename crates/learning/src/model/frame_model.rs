@@ -65,7 +65,7 @@ impl FrameModel {
         dropout: &mut Dropout,
     ) -> (TrajectoryBatch, RecurrentState) {
         let [frames, rows, _] = trajectory.position.dims();
-        let encoded = (0..frames).map(|t| self.encode(&trajectory.at(t), &fixed.material));
+        let encoded = (0..frames).map(|t| self.encode(&trajectory.at(t), &fixed.constants));
         let signal = Tensor::stack(encoded.collect(), 0); // [T, B, H]
         let (signal, layers) = self.layers.observe_core(signal, &hidden.layers, dropout);
         let flat = |t: &Tensor<3>| t.clone().reshape([frames * rows, 2]);
@@ -87,7 +87,7 @@ impl FrameModel {
         hidden: RecurrentState,
         dropout: &mut Dropout,
     ) -> (ParticleState, RecurrentState) {
-        let signal = self.encode(state, &fixed.material);
+        let signal = self.encode(state, &fixed.constants);
         let (signal, layers) = self.layers.step_core(signal, &hidden.layers, dropout);
         let hidden = RecurrentState { layers, expected_velocity: None };
         (self.decode(signal, state), hidden)

@@ -141,14 +141,15 @@ impl ParticleModel {
         if self.fused() {
             let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
             let inputs = [position, velocity, expected_velocity, shape];
-            return fused_layers::features(ballistic, unit, fixed.one_hot.clone(), inputs);
+            let [_, width] = fixed.constants.dims();
+            let constants = (fixed.constant_list.clone(), width);
+            return fused_layers::features(ballistic, unit, constants, inputs);
         }
         let motion = self.ballistic.step(position, velocity.clone());
         let [rows, _] = shape.dims();
-        let material = fixed.material.clone();
-        let material = material.repeat(&[rows / fixed.rest.len(), 1]);
+        let constants = fixed.constants.clone().repeat(&[rows / fixed.rest.len(), 1]);
         let residual = velocity - expected_velocity;
-        self.scaling.particle(state, residual, &motion, &self.ballistic, shape, material)
+        self.scaling.particle(state, residual, &motion, &self.ballistic, shape, constants)
     }
 
     /// The predicted state from the core's output, `[rows, H]`, and the current state.

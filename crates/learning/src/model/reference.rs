@@ -22,6 +22,8 @@ pub struct Reference {
     corrector: Corrector,
     device: DeviceKind,
     grid: Option<GridOptions>,
+    /// Whether the network is told the stiffness.
+    stiffness: bool,
     /// Time between two frames (s).
     dt: f32,
 }
@@ -42,16 +44,27 @@ impl Reference {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
         let corrector = Corrector::new(&checkpoint.description);
-        let Description { ref grid, dt, .. } = checkpoint.description;
-        Ok(Self { network, corrector, device, grid: grid.clone(), dt })
+        let Description { ref grid, stiffness, dt, .. } = checkpoint.description;
+        Ok(Self { network, corrector, device, grid: grid.clone(), stiffness, dt })
     }
 
     /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed to
-    /// [`Reference::step`] first. Its shape is taken as the rest shape of solids.
-    pub fn start(&self, frame: &Frame) -> HiddenState {
+    /// [`Reference::step`] first. Its shape is taken as the rest shape of solids. `stiffness` is that of the stream (density x
+    /// velocity^2), for a network that is told it.
+    ///
+    /// # Panics
+    /// Without a stiffness that the network is told, or with one that it does not use.
+    pub fn start(&self, frame: &Frame, stiffness: Option<f32>) -> HiddenState {
+        assert_eq!(
+            stiffness.is_some(),
+            self.stiffness,
+            "a stiffness for a network that is told it"
+        );
         let grid = self.grid.as_ref();
         let device = self.device.device();
-        let fixed = StaticInputs::new(&frame.material, &frame.position, 1, grid, &device);
+        let stiffness = stiffness.as_ref().map(std::slice::from_ref);
+        let fixed =
+            StaticInputs::new(&frame.material, &frame.position, 1, stiffness, grid, &device);
         HiddenState { recurrent: RecurrentState::default(), fixed }
     }
 

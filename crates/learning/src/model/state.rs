@@ -5,7 +5,9 @@ use std::sync::Arc;
 use burn::tensor::{Device, Tensor, TensorData};
 
 use eddy_frames::Material;
-use eddy_inference::{checkpoint::GridOptions, kernels::rest_shape::RestShape};
+use eddy_inference::{
+    checkpoint::GridOptions, engine::scales::stiffness_feature, kernels::rest_shape::RestShape,
+};
 
 /// Positions and velocities of particles at one instant, `[R, 2]` each (domain lengths and domain lengths per second).
 #[derive(Clone, Debug)]
@@ -17,10 +19,10 @@ pub(crate) struct ParticleState {
 /// Inputs that do not change from frame to frame.
 #[derive(Clone, Debug)]
 pub(crate) struct StaticInputs {
-    /// Materials, one-hot, `[R, 4]`.
-    pub(crate) material: Tensor<2>,
+    /// Features that do not change: materials, one-hot, then the stiffness, if the network is told it, `[R, 4]` or `[R, 5]`.
+    pub(crate) constants: Tensor<2>,
     /// The same as a list.
-    pub(crate) one_hot: Arc<Vec<f32>>,
+    pub(crate) constant_list: Arc<Vec<f32>>,
     /// B; all windows have the same number of particles.
     pub(crate) windows: usize,
     /// The rest shapes of solids.
@@ -28,24 +30,33 @@ pub(crate) struct StaticInputs {
 }
 
 impl StaticInputs {
-    /// The inputs of B windows, from materials and rest positions, `[R]` each. The grid options are those of the particle model,
-    /// which uses the spacing of particles.
+    /// The inputs of B windows, from materials and rest positions, `[R]` each, and the stiffness of each window for a network that
+    /// is told it, `[B]` (density x velocity^2). The grid options are those of the particle model, which uses the spacing of
+    /// particles.
     pub(crate) fn new(
         material: &[Material],
         rest: &[[f32; 2]],
         windows: usize,
+        stiffness: Option<&[f32]>,
         grid: Option<&GridOptions>,
         device: &Device,
     ) -> Self {
         let spacing = grid.map_or(0.0, |grid| grid.spacing);
         let rest = Arc::new(RestShape::new(rest, material, windows, spacing));
-        let one_hot: Vec<f32> = material
+        let particles = material.len() / windows;
+        let constants: Vec<f32> = material
             .iter()
-            .flat_map(|material| Material::ALL.map(|kind| f32::from(u8::from(kind == *material))))
+            .enumerate()
+            .flat_map(|(row, material)| {
+                let one_hot = Material::ALL.map(|kind| f32::from(u8::from(kind == *material)));
+                let stiffness = stiffness.map(|all| stiffness_feature(all[row / particles]));
+                one_hot.into_iter().chain(stiffness)
+            })
             .collect();
-        let data = TensorData::new(one_hot.clone(), [material.len(), Material::COUNT]);
-        let material = Tensor::from_data(data, device);
-        Self { material, one_hot: Arc::new(one_hot), windows, rest }
+        let width = Material::COUNT + usize::from(stiffness.is_some());
+        let data = TensorData::new(constants.clone(), [material.len(), width]);
+        let tensor = Tensor::from_data(data, device);
+        Self { constants: tensor, constant_list: Arc::new(constants), windows, rest }
     }
 
     /// N.

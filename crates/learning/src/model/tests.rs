@@ -88,7 +88,10 @@ fn frames(count: u64) -> Vec<Frame> {
 fn fixed(description: &Description, starts: &[Frame], device: &Device) -> StaticInputs {
     let material: Vec<_> = starts.iter().flat_map(|frame| frame.material.clone()).collect();
     let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
-    StaticInputs::new(&material, &rest, starts.len(), description.grid.as_ref(), device)
+    let stiffness: Vec<_> = (1..=starts.len()).map(|number| 3e3 * number as f32).collect();
+    let stiffness = description.stiffness.then_some(&stiffness[..]);
+    let grid = description.grid.as_ref();
+    StaticInputs::new(&material, &rest, starts.len(), stiffness, grid, device)
 }
 
 fn trajectory(frames: &[Frame], device: &Device) -> TrajectoryBatch {
@@ -111,16 +114,23 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-fn every_network() -> impl Iterator<Item = (Architecture, Core)> {
+/// Every network, and one that is told the stiffness.
+fn every_network() -> impl Iterator<Item = Description> {
     let both = [Architecture::Frame, Architecture::Particle];
-    both.into_iter().flat_map(|architecture| Core::ALL.map(|core| (architecture, core)))
+    let told = Description { stiffness: true, ..description(both[1], Core::MinGru) };
+    let all = both.into_iter().flat_map(|kind| Core::ALL.map(|core| description(kind, core)));
+    all.chain([told])
+}
+
+/// The stiffness of a stream for a network that is told it.
+fn stiffness(description: &Description) -> Option<f32> {
+    description.stiffness.then_some(3e3)
 }
 
 #[test]
 fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
     let frames = frames(9);
-    for (architecture, core) in every_network() {
-        let description = description(architecture, core);
+    for description in every_network() {
         let checkpoint = Checkpoint::new(description.clone(), weights(&description, 1));
         let device = DeviceKind::Flex.device();
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device);
@@ -134,7 +144,7 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
         let expected = [first, second].map(|t| [numbers(&t.position), numbers(&t.velocity)]);
 
         let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
-        let mut hidden = reference.start(&frames[0]);
+        let mut hidden = reference.start(&frames[0], stiffness(&description));
         let streamed: Vec<Frame> =
             frames.iter().map(|frame| reference.step(&mut hidden, frame)).collect();
         let flat = |pick: fn(&Frame) -> &Vec<[f32; 2]>| -> Vec<f32> {
@@ -143,7 +153,7 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
         for (part, found) in [flat(|f| &f.position), flat(|f| &f.velocity)].iter().enumerate() {
             let expected = [expected[0][part].clone(), expected[1][part].clone()].concat();
             let difference = largest_difference(found, &expected);
-            assert!(difference <= 1e-5, "{architecture:?} {core:?}: {difference}");
+            assert!(difference <= 1e-5, "{difference}: {description:?}");
         }
         assert_eq!(streamed[8].sequence, 9);
         assert_eq!(streamed[8].stamp, Stamp(9 * 16_000_000));
@@ -153,26 +163,24 @@ fn streaming_frame_by_frame_equals_observing_all_frames_at_once() {
 #[test]
 fn flex_and_ndarray_agree() {
     let frames = frames(6);
-    for (architecture, core) in every_network() {
-        let description = description(architecture, core);
+    for description in every_network() {
         let checkpoint = Checkpoint::new(description.clone(), weights(&description, 2));
         let [flex, ndarray] = [DeviceKind::Flex, DeviceKind::Ndarray].map(|device| {
             let reference = Reference::load(&checkpoint, device).unwrap();
-            let mut hidden = reference.start(&frames[0]);
+            let mut hidden = reference.start(&frames[0], stiffness(&description));
             let last = frames.iter().map(|frame| reference.step(&mut hidden, frame)).last();
             last.unwrap()
         });
         for (a, b) in [(flex.position, ndarray.position), (flex.velocity, ndarray.velocity)] {
             let difference = largest_difference(a.as_flattened(), b.as_flattened());
-            assert!(difference <= 1e-4, "{architecture:?} {core:?}: {difference}");
+            assert!(difference <= 1e-4, "{difference}: {description:?}");
         }
     }
 }
 
 /// Descriptions that together cover every core, form, pooling, activation, normalisation and kind of input.
 fn every_option() -> Vec<Description> {
-    let mut all: Vec<Description> =
-        every_network().map(|(architecture, core)| description(architecture, core)).collect();
+    let mut all: Vec<Description> = every_network().collect();
     let frame = |core, change: fn(&mut Description)| {
         let mut description = description(Architecture::Frame, core);
         change(&mut description);
@@ -309,7 +317,7 @@ fn an_untrained_particle_model_is_the_ballistic_step() {
     let checkpoint = Checkpoint::new(description.clone(), initial_weights(&description, 5));
     let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
     let frames = frames(3);
-    let mut hidden = reference.start(&frames[0]);
+    let mut hidden = reference.start(&frames[0], stiffness(&description));
     for frame in &frames {
         let next = reference.step(&mut hidden, frame);
         let (mut position, mut velocity) = (frame.position.clone(), frame.velocity.clone());
@@ -328,7 +336,7 @@ fn pooling_before_the_second_linear_is_exact() {
     let model = FrameModel::new(&description, layers.clone(), &device);
     let frame = &frames(1)[0];
     let state = trajectory(std::slice::from_ref(frame), &device).at(0);
-    let material = fixed(&description, std::slice::from_ref(frame), &device).material;
+    let material = fixed(&description, std::slice::from_ref(frame), &device).constants;
 
     // Table 1, literally: both layers for every particle, then the mean.
     let points = model.scaling.frame(&description.frame, &state, material.clone());

@@ -58,7 +58,7 @@ impl Batch {
             TrajectoryBatch::stack(state.collect())
         };
         Self {
-            fixed: StaticInputs::new(&material, &rest, windows.len(), grid, device),
+            fixed: StaticInputs::new(&material, &rest, windows.len(), None, grid, device),
             observed: trajectory(0..warm_up),
             future: trajectory(warm_up..warm_up + unroll),
             weights: TrajectoryBatch { position: weight(0), velocity: weight(1) },

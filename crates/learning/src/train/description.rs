@@ -35,6 +35,7 @@ pub(super) fn describe(
         core: config.core,
         form: config.network.form,
         normalize_gates: config.network.normalize_gates,
+        stiffness: false,
         dt: first.dt,
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,

@@ -4,7 +4,7 @@
 use super::{Machine, Run, TrainConfig, TrainError};
 use crate::model::DeviceKind;
 use eddy_inference::checkpoint::{
-    Architecture, Description, Pooling, layout::PARTICLE_FEATURES, tensor_shapes,
+    Architecture, Description, Pooling, layout::particle_features, tensor_shapes,
 };
 
 /// Numbers of a particle's state: x, y, vx, vy.
@@ -82,7 +82,10 @@ fn batch_numbers(
             (particles, points + pooled, 2 * hidden + gates + 2 * particles)
         }
         // Without nodes: there are fewer than particles.
-        Architecture::Particle => (particles, PARTICLE_FEATURES + encoder + 2 * hidden + gates, 0),
+        Architecture::Particle => {
+            let features = particle_features(description.stiffness);
+            (particles, features + encoder + 2 * hidden + gates, 0)
+        }
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
     let computed = 2 * (particles * of_particle + of_window);

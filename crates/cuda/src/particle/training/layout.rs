@@ -15,7 +15,7 @@ use eddy_inference::{
     checkpoint::{
         Core, Description,
         grid::GridLayer,
-        layout::{self, PARTICLE_FEATURES},
+        layout,
     },
     kernels::nodes::MAX_LEVELS,
 };
@@ -106,7 +106,7 @@ impl TrainingConstants {
 
     /// Shared memory of a block of each kernel with particles (bytes).
     pub(super) fn encode_bytes(&self) -> usize {
-        let widths = [PARTICLE_FEATURES, self.network.encoder, self.network.channels[0]];
+        let widths = [self.network.features, self.network.encoder, self.network.channels[0]];
         4 * self.tile() * widths.map(|width| odd(four(width))).iter().sum::<usize>()
     }
 
@@ -168,7 +168,7 @@ impl Layout {
         let rows = |inputs: usize| (0..inputs).collect::<Vec<_>>();
         let features = constants.network.feature_columns();
         let encoder_layers = [
-            matrix(one("encoder.0", encoder), rows(PARTICLE_FEATURES), features),
+            matrix(one("encoder.0", encoder), rows(constants.network.features), features),
             matrix(one("encoder.1", channels[0]), rows(encoder), four(encoder)),
         ];
         let grid = constants.network.grid.iter();
@@ -188,7 +188,7 @@ impl Layout {
             .collect();
         // The gathered numbers begin behind the padded features.
         let gathered = (0..channels[0]).map(|channel| features + channel);
-        let inputs = (0..PARTICLE_FEATURES).chain(gathered).collect();
+        let inputs = (0..constants.network.features).chain(gathered).collect();
         let context = matrix(one("context", hidden), inputs, constants.network.context_rows());
         let units = constants.network.hidden_columns();
         let core_layers = (0..layers)

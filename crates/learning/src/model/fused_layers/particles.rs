@@ -8,7 +8,6 @@ use rayon::prelude::*;
 
 use crate::model::fused::{Operation, apply, input};
 use eddy_inference::{
-    checkpoint::layout::PARTICLE_FEATURES,
     engine::{
         Ballistic,
         scales::{BODY_SCALE, CONTACT_SCALE},
@@ -103,26 +102,35 @@ fn moving(ballistic: &Ballistic, x: &[f32; 2], v: &[f32; 2]) -> [bool; 2] {
 }
 
 /// [`Scaling::particle`](crate::model::features::Scaling::particle): positions, velocities and expected velocities, `[R, 2]`,
-/// and shapes, `[R, 5]`, to features, `[R, F]`. `material` is one-hot, `[R', 4]`, and repeats every R' rows.
+/// and shapes, `[R, 5]`, to features, `[R, F]`. `constants` are those of
+/// [`StaticInputs`](crate::model::state::StaticInputs), `[R', width]`, and their width; they repeat every R' rows.
 pub(crate) fn features(
     ballistic: Ballistic,
     velocity_unit: f32,
-    material: Arc<Vec<f32>>,
+    (constants, width): (Arc<Vec<f32>>, usize),
     [position, velocity, expected_velocity, shape]: [Tensor<2>; 4],
 ) -> Tensor<2> {
-    let size = [position.dims()[0], PARTICLE_FEATURES];
+    let operation = Features { ballistic, velocity_unit, constants, width };
+    let size = [position.dims()[0], operation.count()];
     let inputs = [input(position), input(velocity), input(expected_velocity), input(shape)];
-    apply(Features { ballistic, velocity_unit, material }, inputs, size)
+    apply(operation, inputs, size)
 }
 
 #[derive(Clone, Debug)]
 struct Features {
     ballistic: Ballistic,
     velocity_unit: f32,
-    material: Arc<Vec<f32>>,
+    constants: Arc<Vec<f32>>,
+    /// Of the constants.
+    width: usize,
 }
 
 impl Features {
+    /// F.
+    fn count(&self) -> usize {
+        BEFORE + SHAPE_FEATURES + self.width
+    }
+
     /// Distances from the left, lower, right and upper wall, negative beyond them.
     fn distances(&self, [x, y]: [f32; 2]) -> [f32; 4] {
         let Ballistic { lower, upper, .. } = self.ballistic;
@@ -140,11 +148,11 @@ impl Operation<4> for Features {
         let (position, velocity, expected_velocity) =
             (pairs(position), pairs(velocity), pairs(expected_velocity));
         let (shape, _) = shape.as_chunks::<SHAPE_FEATURES>();
-        let (material, _) = self.material.as_chunks::<4>();
-        let mut features = vec![[0.0; PARTICLE_FEATURES]; position.len()];
-        features.par_chunks_mut(ROWS).enumerate().for_each(|(part, rows)| {
+        let (count, width) = (self.count(), self.width);
+        let mut features = vec![0.0; position.len() * count];
+        features.par_chunks_mut(ROWS * count).enumerate().for_each(|(part, rows)| {
             let first = part * ROWS;
-            let mut proximity = vec![[0.0; PROXIMITIES]; rows.len()];
+            let mut proximity = vec![[0.0; PROXIMITIES]; rows.len() / count];
             for (proximity, x) in proximity.iter_mut().zip(&position[first..]) {
                 for (wall, distance) in self.distances(*x).into_iter().enumerate() {
                     proximity[wall] = distance.max(0.0) * (-1.0 / CONTACT_SCALE);
@@ -152,7 +160,7 @@ impl Operation<4> for Features {
                 }
             }
             Arch::new().dispatch(Exponentials(proximity.as_flattened_mut()));
-            for (row, features) in rows.iter_mut().enumerate() {
+            for (row, features) in rows.chunks_exact_mut(count).enumerate() {
                 let (at, v) = (first + row, velocity[first + row]);
                 let free = self.ballistic.free(position[at], v).1;
                 let stopped = self.ballistic.step(position[at], v).1;
@@ -164,10 +172,12 @@ impl Operation<4> for Features {
                 }
                 features[6..BEFORE].copy_from_slice(&proximity[row]);
                 features[BEFORE..BEFORE + SHAPE_FEATURES].copy_from_slice(&shape[at]);
-                features[BEFORE + SHAPE_FEATURES..].copy_from_slice(&material[at % material.len()]);
+                let constants = at * width % self.constants.len();
+                features[BEFORE + SHAPE_FEATURES..]
+                    .copy_from_slice(&self.constants[constants..constants + width]);
             }
         });
-        (features.into_flattened(), ())
+        (features, ())
     }
 
     fn backward(
@@ -178,16 +188,15 @@ impl Operation<4> for Features {
         gradient: &[f32],
         _wanted: [bool; 4],
     ) -> [Vec<f32>; 4] {
-        let rows = position.len() / 2;
+        let (rows, count) = (position.len() / 2, self.count());
         let unit = 1.0 / self.velocity_unit;
         let mut by_position = vec![[0.0; 2]; rows];
         let mut by_velocity = vec![[0.0; 2]; rows];
         let mut by_expected = vec![[0.0; 2]; rows];
         let mut by_shape = vec![[0.0; SHAPE_FEATURES]; shape.len() / SHAPE_FEATURES];
-        let (features, _) = features.as_chunks::<PARTICLE_FEATURES>();
-        let (gradient, _) = gradient.as_chunks::<PARTICLE_FEATURES>();
         let states = pairs(position).par_iter().zip(pairs(velocity));
-        let above = states.zip(features.par_iter().zip(gradient));
+        let above =
+            states.zip(features.par_chunks_exact(count).zip(gradient.par_chunks_exact(count)));
         let below = by_position.par_iter_mut().zip(&mut by_velocity);
         let below = below.zip(by_expected.par_iter_mut().zip(&mut by_shape));
         let all = above.zip(below).with_min_len(ROWS);
