@@ -90,7 +90,7 @@ impl Problem {
             let numbers: Vec<u8> = material.iter().map(|&material| material as u8).collect();
             let mirrored: Vec<_> = rest.iter().map(|&[x, y]| [1.0 - x, y]).collect();
             let shape = |rest: &[[f32; 2]]| RestShape::new(rest, &material, 1, SPACING);
-            store.stream(&numbers, [&shape(&rest), &shape(&mirrored)]);
+            store.stream(&numbers, [&shape(&rest), &shape(&mirrored)], 0.0);
             for frame in 0..FRAMES {
                 let time = frame as f32 * 0.016;
                 let bodies: Vec<_> = rest

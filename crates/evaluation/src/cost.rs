@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Context, EvalError, Kind, Predictor, chaos};
+use super::{Context, EvalError, Kind, Predictor, chaos, model_rollout::begin_stream};
 use crate::dataset::{State, Stream};
 use eddy_frames::clock::Clock;
 use eddy_inference::engine::Surrogate;
@@ -151,7 +151,7 @@ fn time_model(
 ) -> Result<(), EvalError> {
     let model_error = |reason| EvalError::Model { stream: stream.id, reason };
     let mut frame = stream.frame(start);
-    let mut memory = surrogate.start(&frame).map_err(model_error)?;
+    let mut memory = begin_stream(surrogate, stream, start).map_err(model_error)?;
     let mut stepper = surrogate.stepper();
     let mut next = frame.clone();
     run(times, || {

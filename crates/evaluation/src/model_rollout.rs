@@ -1,7 +1,7 @@
 //! Rollouts of models: they observe a stream, then predict from their own output.
 
 use super::{Rollout, error_estimates::Sampler, steps::StepResults, task::RolloutTask};
-use crate::dataset::State;
+use crate::dataset::{State, Stream};
 use eddy_frames::Frame;
 use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 
@@ -22,7 +22,7 @@ pub(super) fn roll_out_from_first(
     let RolloutTask { stream, starts, reach, .. } = *task;
     let mut observer = task.observer();
     let mut stepper = surrogate.stepper();
-    let mut hidden = surrogate.start(&stream.frame(0))?;
+    let mut hidden = begin_stream(surrogate, stream, 0)?;
     let mut ahead = hidden.clone();
     let mut predicted: Option<Frame> = None;
     let end = starts.last().copied().unwrap_or(0).max(observer.end());
@@ -62,15 +62,25 @@ pub(super) fn roll_out_joined_late(
     let warm_up = (surrogate.description().warm_up as usize).max(1);
     let mut stepper = surrogate.stepper();
     for (number, &start) in starts.iter().enumerate() {
-        let first = stream.frame(start + 1 - warm_up);
-        let mut hidden = surrogate.start(&first)?;
-        let mut frame = stepper.step(&mut hidden, &first);
-        for index in start + 2 - warm_up..=start {
+        let first = start + 1 - warm_up;
+        let mut hidden = begin_stream(surrogate, stream, first)?;
+        let mut frame = stepper.step(&mut hidden, &stream.frame(first));
+        for index in first + 1..=start {
             stepper.step_into(&mut hidden, &stream.frame(index), &mut frame);
         }
         each(number, roll_out(&mut stepper, &mut hidden, &stream.states[start], frame, reach));
     }
     stepper.check()
+}
+
+/// The hidden state before a frame of a stream, with which it begins, for a network that is told the stiffness with it.
+pub(super) fn begin_stream(
+    surrogate: &Surrogate,
+    stream: &Stream,
+    first: usize,
+) -> Result<HiddenState, ModelError> {
+    let stiffness = stream.stiffness.filter(|_| surrogate.description().stiffness);
+    surrogate.start_with_stiffness(&stream.frame(first), stiffness)
 }
 
 /// `first` and the states predicted from it, `reach` in total.

@@ -71,6 +71,25 @@ fn a_number_that_is_no_setting_is_named() {
     let refusal = "network.normalize_gates: found false, expected true";
     says(&refused(|c| c.network.normalize_gates = false), &[refusal]);
     says(&refused(|c| c.network.frame.pooling = Pooling::Max), &["network.frame: found"]);
+    let mut frame = TrainConfig::defaults(Architecture::Frame);
+    frame.network.stiffness = true;
+    let refusal = "network.stiffness: found true, expected false for the frame model";
+    says(&frame.check().unwrap_err().to_string(), &[refusal]);
+}
+
+#[test]
+fn a_stream_whose_stiffness_is_not_known_is_named_if_the_network_is_to_be_told_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    config.network.stiffness = true;
+    let mut known = dataset();
+    for stream in known.train.iter_mut().chain(&mut known.validation) {
+        stream.stiffness = Some(1e3);
+    }
+    let message = run(&config, &known, folder.path()).unwrap_err().to_string();
+    let expected = "expected manifest.json of `eddy simulate` with this scene beside the bag";
+    assert_eq!(message, format!("analytic: stream 7: stiffness: found nothing, {expected}"));
+    assert!(files(folder.path()).is_empty());
 }
 
 #[test]

@@ -26,7 +26,7 @@ pub fn bytes(
     let most = streams.iter().map(|&(particles, _)| particles).max().unwrap_or(0);
     let mut store = StoreWriter::new(&*counter, most, 0)?;
     let rest = RestShape::new(&[], &[], 1, 0.0);
-    store.stream(&[], [&rest, &rest]);
+    store.stream(&[], [&rest, &rest], 0.0);
     let store = Arc::new(store.finish()?);
     counter.take();
     let mut largest = 0;

@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::{loss_weights::LossScale, window::Window};
 use crate::model::state::{ParticleState, StaticInputs, TrajectoryBatch};
 use eddy_evaluation::dataset::State;
-use eddy_inference::checkpoint::GridOptions;
+use eddy_inference::checkpoint::Description;
 
 /// A batch of B windows with N particles each: R = B N rows, window by window.
 pub(super) struct Batch {
@@ -24,11 +24,14 @@ impl Batch {
         windows: &[Window],
         warm_up: usize,
         scale: &LossScale,
-        grid: Option<&GridOptions>,
+        description: &Description,
         device: &Device,
     ) -> Self {
         let material: Vec<_> = windows.iter().flat_map(|w| w.material.iter().copied()).collect();
         let rest: Vec<_> = windows.iter().flat_map(|window| window.rest.iter().copied()).collect();
+        let told = |window: &Window| window.stiffness.expect("checked before a training begins");
+        let stiffness: Option<Vec<_>> =
+            description.stiffness.then(|| windows.iter().map(told).collect());
         let unroll = windows[0].states.len() - warm_up;
         let weights: Vec<_> = windows.iter().map(|window| scale.weights(window, unroll)).collect();
         let rows: usize = windows.iter().map(|window| window.material.len()).sum();
@@ -58,7 +61,14 @@ impl Batch {
             TrajectoryBatch::stack(state.collect())
         };
         Self {
-            fixed: StaticInputs::new(&material, &rest, windows.len(), None, grid, device),
+            fixed: StaticInputs::new(
+                &material,
+                &rest,
+                windows.len(),
+                stiffness.as_deref(),
+                description.grid.as_ref(),
+                device,
+            ),
             observed: trajectory(0..warm_up),
             future: trajectory(warm_up..warm_up + unroll),
             weights: TrajectoryBatch { position: weight(0), velocity: weight(1) },

@@ -75,6 +75,9 @@ pub struct NetworkConfig {
     pub cell_width: f32,
     /// Particle model: channels of each level of the grid, finest first; two to four levels.
     pub channels: Vec<usize>,
+    /// Particle model: whether the network is told the stiffness of each stream, which manifest.json beside its bag must have.
+    #[serde(default)]
+    pub stiffness: bool,
 }
 
 /// Writes options that a checkpoint omits too: a settings file is read over the defaults, which are others.
@@ -227,6 +230,7 @@ impl NetworkConfig {
             frame: FrameOptions::default(),
             cell_width: 1.0 / 32.0,
             channels: vec![24, 32, 48],
+            stiffness: false,
         }
     }
 }
@@ -478,6 +482,8 @@ impl TrainConfig {
         let (frame, default) = (self.network.frame, FrameOptions::default());
         let valid = self.architecture == Architecture::Frame || frame == default;
         require("network.frame", format!("{frame:?}"), valid, "nothing for the particle model")?;
+        let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
+        require("network.stiffness", "true", valid, "false for the frame model")?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
         require("network.form", "log", valid, "plain: only minGRU and minLSTM have both")?;
         let valid = self.network.normalize_gates || self.core == Core::MinLstm;

@@ -78,7 +78,7 @@ fn streams_of(sizes: [[usize; 2]; 2]) -> Vec<Trajectory> {
             material,
             first_sequence: 0,
             first_stamp: Stamp::default(),
-            stiffness: None,
+            stiffness: Some([1e3, 1e5][id]),
             states,
         })
     };
@@ -111,6 +111,7 @@ pub(super) fn description(config: &TrainConfig) -> Description {
     description.frame = config.network.frame;
     description.form = config.network.form;
     description.normalize_gates = config.network.normalize_gates;
+    description.stiffness = config.network.stiffness;
     description.gravity = config.gravity;
     description.warm_up = config.windows.warm_up as u32;
     description
@@ -261,6 +262,13 @@ fn other_forms_and_losses_of_the_particle_model_take_the_steps_of_the_cpu() {
 }
 
 #[test]
+fn a_network_that_is_told_the_stiffness_of_each_stream_takes_the_steps_of_the_cpu() {
+    let mut config = config(Core::MinGru);
+    config.network.stiffness = true;
+    compare(&config, &streams());
+}
+
+#[test]
 fn grids_of_two_and_four_levels_take_the_steps_of_the_cpu() {
     for channels in [vec![6, 7], vec![6, 7, 5, 9]] {
         let mut config = config(Core::MinGru);
@@ -282,7 +290,8 @@ fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
 #[test]
 fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
-    let config = config(Core::MinGru);
+    let mut config = config(Core::MinGru);
+    config.network.stiffness = true;
     let (streams, description) = (streams(), description(&config));
     let unroll = config.unroll[0].frames;
     let run = |open: &dyn Fn() -> Learner| {
@@ -311,7 +320,8 @@ fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
             let expected = Surrogate::load(&checkpoint, None).unwrap();
             let first = streams[0].cut(0..1).unwrap().frame(0);
             let [found, expected] = [found, expected].map(|surrogate| {
-                let mut hidden = surrogate.start(&first).unwrap();
+                let stiffness = streams[0].stiffness;
+                let mut hidden = surrogate.start_with_stiffness(&first, stiffness).unwrap();
                 surrogate.stepper().step(&mut hidden, &first).velocity
             });
             for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {

@@ -24,6 +24,10 @@ pub(super) fn describe(
         same_particles(dataset, particles)?;
     }
     no_constant_feature(dataset)?;
+    if config.network.stiffness {
+        let mut all = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
+        all.try_for_each(|stream| stream.known_stiffness().map(drop))?;
+    }
     // Of all splits: in a small data set, a material may occur in the validation split only.
     let splits = [&dataset.train, &dataset.validation, &dataset.test];
     let streams = splits.into_iter().flatten();
@@ -35,7 +39,7 @@ pub(super) fn describe(
         core: config.core,
         form: config.network.form,
         normalize_gates: config.network.normalize_gates,
-        stiffness: false,
+        stiffness: config.network.stiffness,
         dt: first.dt,
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,

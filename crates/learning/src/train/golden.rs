@@ -114,7 +114,7 @@ impl Golden {
             ballistic: Ballistic::new(&self.description),
             common: Vec::new(),
         };
-        Batch::new(&self.windows, warm_up, &scale, self.description.grid.as_ref(), device)
+        Batch::new(&self.windows, warm_up, &scale, &self.description, device)
     }
 
     /// The loss of the network on the golden windows.
@@ -189,6 +189,7 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
             start: 0,
             material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
             rest: position[window * particles..(window + 1) * particles].to_vec(),
+            stiffness: None,
             states: states.collect(),
             noisy: None,
         }

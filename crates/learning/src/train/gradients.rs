@@ -72,8 +72,8 @@ impl GradientTask<'_> {
         dropout: &mut Dropout,
     ) -> BatchGradient {
         let Self { config, description, scale, .. } = self;
-        let (warm_up, grid) = (config.windows.warm_up, description.grid.as_ref());
-        let batch = Batch::new(windows, warm_up, scale, grid, &self.device.device());
+        let warm_up = config.windows.warm_up;
+        let batch = Batch::new(windows, warm_up, scale, description, &self.device.device());
         let (predicted, steps) = loss::unroll(&network, &batch, dropout);
         let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
         let value = loss.clone().inner().into_scalar();

@@ -163,7 +163,7 @@ impl BurnSteps {
                     ballistic: Ballistic::new(&description),
                     common: Vec::new(),
                 };
-                let batch = Batch::new(&windows, frames, &scale, None, &plain);
+                let batch = Batch::new(&windows, frames, &scale, &description, &plain);
                 let domain = description.domain;
                 Task::Frame { batch: Box::new(batch), loss: config.loss.clone(), domain }
             }
@@ -223,6 +223,7 @@ fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
         start: 0,
         material: vec![Material::Liquid; PARTICLES],
         rest: start.clone(),
+        stiffness: None,
         states: states.collect(),
         noisy: None,
     }

@@ -20,6 +20,8 @@ pub(super) struct Window {
     pub(super) material: Vec<Material>,
     /// Positions in the stream's first frame, `[N]`.
     pub(super) rest: Vec<[f32; 2]>,
+    /// Its stream's stiffness, if it is known (density x velocity^2).
+    pub(super) stiffness: Option<f32>,
     /// The states, `warm_up + unroll` of them.
     pub(super) states: Vec<State>,
     /// The last observed state with noise, if any, which the network observes instead.
@@ -163,6 +165,7 @@ impl<'a> Sampler<'a> {
             start,
             material: stream.material.clone(),
             rest: turn(&stream.rest, sides),
+            stiffness: stream.stiffness,
             noisy: noise.map(|seed| add_noise(last, &self.config.noise, seed)),
             states,
         })

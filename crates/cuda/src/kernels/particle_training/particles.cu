@@ -52,7 +52,9 @@ __device__ __forceinline__ void features_of(const Plan& s, int sheet, int b, u32
     }
   }
   rest_shape(first_of(s, s.link_first, b), s.links, bodies, p, body, own + SHAPE_FROM);
-  own[SHAPE_FROM + SHAPE_FEATURES + s.material[(size_t)window_of(s, b).stream * s.most + p]] = 1.0f;
+  const u32 stream = window_of(s, b).stream;
+  own[SHAPE_FROM + SHAPE_FEATURES + s.material[(size_t)stream * s.most + p]] = 1.0f;
+  if (F > SHAPE_FROM + SHAPE_FEATURES + MATERIALS) own[SHAPE_FROM + SHAPE_FEATURES + MATERIALS] = s.stiffness[stream];
 }
 
 // Features and encoder of sheets from `first` on. Matrices are transposed. grid (ceil(most / (LEARN_WARPS WARP_ROWS)), sheets), block

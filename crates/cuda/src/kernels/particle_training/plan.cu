@@ -21,10 +21,12 @@
 
 // What all kernels of a step share.
 struct Plan {
-  // Trajectories: bodies of all frames; of each stream the number of its particles and their materials, [streams, most].
+  // Trajectories: bodies of all frames; of each stream the number of its particles, their materials, [streams, most], and the
+  // feature of its stiffness.
   const Body* store;
   const u32* counts;
   const unsigned char* material;
+  const float* stiffness;
   // First link of each particle, [2 streams, most + 1], of a stream as it is and mirrored; the same of the links to a
   // particle. None, where no particle has a rest shape.
   const u32* link_first;

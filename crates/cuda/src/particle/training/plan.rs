@@ -34,6 +34,7 @@ pub(super) struct Plan {
     store: u64,
     counts: u64,
     material: u64,
+    stiffness: u64,
     link_first: u64,
     links: u64,
     incoming_first: u64,
@@ -110,7 +111,7 @@ impl Plan {
 }
 
 const _: () = assert!(
-    size_of::<Plan>() == 8 * (40 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
+    size_of::<Plan>() == 8 * (41 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
 );
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Plan {}
@@ -215,6 +216,7 @@ impl Memory {
             store: at(&store.bodies),
             counts: at(&store.counts),
             material: at(&store.material),
+            stiffness: at(&store.stiffness),
             link_first: link(|links| &links.own[0]),
             links: link(|links| &links.own[1]),
             incoming_first: link(|links| &links.incoming[0]),

@@ -21,6 +21,8 @@ pub struct Store {
     pub(super) counts: Buffer,
     /// `[streams, most]`.
     pub(super) material: Buffer,
+    /// The feature of each stream's stiffness.
+    pub(super) stiffness: Buffer,
     /// Where no particle of any stream has a rest shape, there are no links.
     pub(super) links: Option<Links>,
     /// First body of each stream, and the end of the last one.
@@ -74,6 +76,7 @@ pub struct StoreWriter<'a> {
     most: usize,
     particles: Vec<usize>,
     materials: Vec<u8>,
+    stiffness: Vec<f32>,
     own: Lists,
     incoming: Lists,
     first: Vec<u64>,
@@ -114,6 +117,7 @@ impl<'a> StoreWriter<'a> {
             most,
             particles: Vec::new(),
             materials: Vec::new(),
+            stiffness: Vec::new(),
             own: Lists::default(),
             incoming: Lists::default(),
             first: Vec::new(),
@@ -121,14 +125,16 @@ impl<'a> StoreWriter<'a> {
         })
     }
 
-    /// Begins a stream of particles of these materials (by number), with their rest shapes as they are and mirrored.
+    /// Begins a stream of particles of these materials (by number), with their rest shapes as they are and mirrored, and the feature
+    /// of its stiffness, which a network that is not told it does not read.
     ///
     /// # Panics
     /// With too many particles, or rest shapes of others.
-    pub fn stream(&mut self, material: &[u8], rest: [&RestShape; 2]) {
+    pub fn stream(&mut self, material: &[u8], rest: [&RestShape; 2], stiffness: f32) {
         assert!(material.len() <= self.most, "{} particles, at most {}", material.len(), self.most);
         self.first.push(self.written);
         self.particles.push(material.len());
+        self.stiffness.push(stiffness);
         self.materials.extend_from_slice(material);
         self.materials.resize(self.particles.len() * self.most, 0);
         for rest in rest {
@@ -181,6 +187,7 @@ impl<'a> StoreWriter<'a> {
         Ok(Store {
             counts: keep(bytemuck::cast_slice(&counts))?,
             material: keep(&self.materials)?,
+            stiffness: keep(bytemuck::cast_slice(&self.stiffness))?,
             links,
             bodies: self.bodies,
             first: self.first,

@@ -14,7 +14,7 @@ use eddy_cuda::{
 use eddy_evaluation::dataset::Trajectory;
 use eddy_inference::{
     checkpoint::{Architecture, Checkpoint, Description},
-    engine::{Accelerator, Surrogate},
+    engine::{Accelerator, Surrogate, scales::stiffness_feature},
     kernels::rest_shape::RestShape,
 };
 
@@ -108,7 +108,8 @@ pub(in crate::train) fn particle_store(
         let sides = stream.domain.lower[0] + stream.domain.upper[0];
         let mirrored: Vec<_> = stream.rest.iter().map(|&[x, y]| [sides - x, y]).collect();
         let shape = |rest: &[[f32; 2]]| RestShape::new(rest, &stream.material, 1, spacing);
-        store.stream(&numbers(stream), [&shape(&stream.rest), &shape(&mirrored)]);
+        let stiffness = stream.stiffness.map_or(0.0, stiffness_feature);
+        store.stream(&numbers(stream), [&shape(&stream.rest), &shape(&mirrored)], stiffness);
         visit(stream, |bodies| store.frame(bodies))?;
     }
     Ok(store.finish()?)
