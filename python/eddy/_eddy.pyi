@@ -281,6 +281,7 @@ def evaluate(
     *,
     horizon: int = 100,
     starts: int = 7,
+    stiffness: float | None = None,
     references: Sequence[Literal["mpm", "chaos"]] = ...,
     threads: int | None = None,
 ) -> Report: ...

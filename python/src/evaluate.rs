@@ -53,15 +53,18 @@ impl Report {
 
 /// Evaluates checkpoints on the bags at `data` by free rollouts over `horizon` frames from `starts` frames of each stream.
 /// Streams that a checkpoint was trained on are left out. `references` may hold `mpm` (the solver restarted from the same frames) and
-/// `chaos` (from slightly displaced ones). Without checkpoints, the particle model of the package is evaluated.
+/// `chaos` (from slightly displaced ones). `stiffness` is that of all streams (Young's modulus, density x velocity^2), for checkpoints
+/// that are told it, by default that of each scene in the manifest.json of `eddy simulate` beside the bags. Without checkpoints, the particle model of the package is evaluated.
 #[pyfunction]
-#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, references=Vec::new(), threads=None))]
+#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None))]
+#[expect(clippy::too_many_arguments, reason = "the options of an evaluation")]
 pub(crate) fn evaluate(
     py: Python<'_>,
     data: Paths,
     checkpoints: Option<Paths>,
     horizon: usize,
     starts: usize,
+    stiffness: Option<f32>,
     references: Vec<String>,
     threads: Option<usize>,
 ) -> PyResult<Report> {
@@ -95,6 +98,7 @@ pub(crate) fn evaluate(
             checkpoints: loaded,
             recorded: Vec::new(),
             streams,
+            stiffness,
             settings: Settings::full(horizon, starts),
             references,
             join_late: false,

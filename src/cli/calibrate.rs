@@ -25,6 +25,10 @@ pub struct CalibrateArgs {
     /// Start frames per stream, evenly spaced over its first 80 %.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
+    /// Young's modulus of all streams (density x velocity^2), for a checkpoint that is told the stiffness [default: that of each
+    /// scene in the manifest.json of eddy simulate beside the bags].
+    #[arg(long, value_name = "E")]
+    pub stiffness: Option<f32>,
     /// Number of scenes to roll out in parallel [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,

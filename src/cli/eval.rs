@@ -40,7 +40,7 @@ pub struct EvalArgs {
         value_name = "REPORT",
         num_args = 2..,
         conflicts_with_all = [
-            "checkpoint", "data", "predictions", "list_starts", "horizon", "starts", "references", "join_late", "without_rules", "threads", "device"
+            "checkpoint", "data", "predictions", "list_starts", "horizon", "starts", "stiffness", "references", "join_late", "without_rules", "threads", "device"
         ]
     )]
     pub compare: Vec<PathBuf>,
@@ -50,6 +50,10 @@ pub struct EvalArgs {
     /// Start frames per stream, evenly spaced over its first 80 %.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
+    /// Young's modulus of all streams (density x velocity^2), for checkpoints that are told the stiffness [default: that of each
+    /// scene in the manifest.json of eddy simulate beside the bags].
+    #[arg(long, value_name = "E")]
+    pub stiffness: Option<f32>,
     /// Reference predictors, started from the same frames; requires manifest.json beside the bags.
     #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
     pub references: Vec<ReferenceName>,

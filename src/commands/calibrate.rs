@@ -27,6 +27,7 @@ pub fn run(args: &CalibrateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::
     let memory = dataset::available_memory() / 2;
     let request = CalibrationRequest {
         streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
+        stiffness: args.stiffness,
         horizon: args.horizon,
         starts: args.starts,
         threads: args.threads,

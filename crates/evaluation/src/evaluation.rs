@@ -42,6 +42,8 @@ pub struct EvaluationRequest {
     pub recorded: Vec<Recorded>,
     /// Streams; those that a checkpoint was trained on are excluded.
     pub streams: Vec<Trajectory>,
+    /// Young's modulus of all streams (density x velocity^2), for checkpoints that are told it; by default that of each stream.
+    pub stiffness: Option<f32>,
     /// Horizon, starts and measures.
     pub settings: Settings,
     /// Solvers that predict from the same frames.
@@ -105,6 +107,17 @@ pub enum EvaluationError {
         /// Why.
         reason: Box<Self>,
     },
+    /// The given stiffness is invalid, or no checkpoint is told it.
+    #[error("stiffness: found {found}, expected {expected}")]
+    Stiffness {
+        /// The stiffness.
+        found: String,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// A checkpoint is told the stiffness of a stream, which is not known.
+    #[error("{0}, or --stiffness")]
+    UnknownStiffness(DatasetError),
     /// A bag cannot be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
@@ -182,13 +195,14 @@ impl Evaluation {
             checkpoints,
             recorded,
             streams,
+            stiffness,
             settings,
             references,
             join_late,
             threads,
         } = request;
         let descriptions: Vec<_> = checkpoints.iter().map(|(_, c)| &c.description).collect();
-        let selection = Selection::new(settings, &descriptions, streams)?;
+        let selection = Selection::new(settings, &descriptions, streams, stiffness)?;
         let load = |(name, checkpoint): &(String, Checkpoint)| {
             load(checkpoint).map_err(|reason| EvaluationError::Checkpoint {
                 checkpoint: name.clone(),
@@ -382,7 +396,7 @@ pub fn evaluate_model(
     progress: &dyn Progress,
 ) -> Result<Report, EvaluationError> {
     let Selection { streams, context, digest, remarks } =
-        Selection::new(settings, &[surrogate.description()], streams)?;
+        Selection::new(settings, &[surrogate.description()], streams, None)?;
     remarks.iter().for_each(|remark| progress.message(remark));
     let predictors: Vec<_> =
         std::iter::once(Predictor::Model(surrogate)).chain(context.simple_predictors()).collect();
@@ -454,6 +468,7 @@ mod tests {
     use super::*;
     use crate::test_streams::simulated;
     use eddy_frames::progress::Silent;
+    use eddy_inference::checkpoint::{Architecture, Core, Description, Sizes, initial_weights};
     use eddy_mpm::{Extent, Preset};
 
     /// Two streams of 13 frames.
@@ -461,11 +476,66 @@ mod tests {
         simulated(Extent::usual(Preset::Kinds), 2)
     }
 
+    /// A small network that is told the stiffness, with random weights.
+    fn told() -> Checkpoint {
+        let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
+        let mut description = Description::untrained(Architecture::Particle, Core::Mlp, sizes);
+        description.stiffness = true;
+        description.normalization.minimum[2..].fill(-9.0);
+        description.normalization.maximum[2..].fill(9.0);
+        let mut tensors = initial_weights(&description, 1);
+        tensors.get_mut("decoder.weight").unwrap().values.fill(0.1);
+        Checkpoint::new(description, tensors)
+    }
+
+    #[test]
+    fn a_checkpoint_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
+        let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
+        let (_folder, mut streams) = simulated(extent, 2);
+        let request = |streams: &[Trajectory], stiffness| EvaluationRequest {
+            checkpoints: vec![
+                ("told".to_owned(), told()),
+                ("shipped".to_owned(), Checkpoint::shipped().unwrap()),
+            ],
+            settings: Settings::errors_only(4, 2),
+            join_late: true,
+            stiffness,
+            ..request(streams)
+        };
+        let skills = |request| {
+            let report = evaluate(request).unwrap();
+            let skills = report.predictors.into_iter().map(|one| (one.name, one.skill));
+            skills.collect::<BTreeMap<_, _>>()
+        };
+        let own = skills(request(&streams, None));
+        let given = skills(request(&streams, Some(1e4)));
+        for (name, skill) in &own {
+            // Also when it joins late.
+            assert_eq!(*skill != given[name], name.starts_with("told"), "{name}");
+        }
+        let both = [streams[0].stiffness.unwrap(), streams[1].stiffness.unwrap()];
+        assert!(both[0] != both[1] && both.iter().all(|e| (300.0..=3e5).contains(e)), "{both:?}");
+        streams.iter_mut().for_each(|stream| stream.stiffness = Some(1e4));
+        assert_eq!(skills(request(&streams, None)), given);
+
+        let rejection = |request| evaluate(request).unwrap_err().to_string();
+        let message = rejection(request(&streams, Some(-1.0)));
+        assert_eq!(message, "stiffness: found -1, expected a positive number");
+        let shipped = EvaluationRequest { stiffness: Some(1e4), ..self::request(&streams) };
+        let expected = "stiffness: found 10000, expected nothing: no checkpoint is told it";
+        assert_eq!(rejection(shipped), expected);
+        streams[1].stiffness = None;
+        let message = rejection(request(&streams, None));
+        assert!(message.contains("scene_0001: stream 1: stiffness: found nothing"), "{message}");
+        assert!(message.ends_with("with this scene beside the bag, or --stiffness"), "{message}");
+    }
+
     fn request(streams: &[Trajectory]) -> EvaluationRequest {
         EvaluationRequest {
             checkpoints: vec![("models/shipped".to_owned(), Checkpoint::shipped().unwrap())],
             recorded: Vec::new(),
             streams: streams.to_vec(),
+            stiffness: None,
             settings: Settings::errors_only(3, 2),
             references: Vec::new(),
             join_late: false,

@@ -198,6 +198,7 @@ mod tests {
             checkpoints: vec![("shipped".to_owned(), Checkpoint::shipped().unwrap())],
             recorded,
             streams: load_trajectories(&[bag.into()], u64::MAX, &mut |_, _| ()).unwrap(),
+            stiffness: None,
             settings: Settings::full(6, 3),
             references: Vec::new(),
             join_late: false,

@@ -19,11 +19,12 @@ pub(super) struct Selection {
 }
 
 impl Selection {
-    /// Reads all streams and excludes those that a checkpoint was trained on.
+    /// Reads all streams and excludes those that a checkpoint was trained on. `stiffness` is that of all streams, if it is given.
     pub(super) fn new(
         settings: Settings,
         descriptions: &[&Description],
         mut streams: Vec<Trajectory>,
+        stiffness: Option<f32>,
     ) -> Result<Self, EvaluationError> {
         let Some(&first) = descriptions.first() else {
             return Err(EvaluationError::request("checkpoints", 0, "at least 1"));
@@ -44,6 +45,7 @@ impl Selection {
         if streams.is_empty() {
             return Err(EvaluationError::Seen);
         }
+        tell_stiffness(descriptions, &mut streams, stiffness)?;
         if streams.len() < of_this_set {
             let excluded = of_this_set - streams.len();
             remarks.push(format!(
@@ -63,6 +65,31 @@ impl Selection {
         let context = Context::new(settings, first, warm_up, domain, walls, spacing);
         context.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
         Ok(Self { streams, context, digest, remarks })
+    }
+}
+
+/// Gives all streams their stiffness, or checks that it is known, if a checkpoint is told it.
+fn tell_stiffness(
+    descriptions: &[&Description],
+    streams: &mut [Trajectory],
+    given: Option<f32>,
+) -> Result<(), EvaluationError> {
+    let is_told = descriptions.iter().any(|description| description.stiffness);
+    let rejected = |found: f32, expected| {
+        Err(EvaluationError::Stiffness { found: found.to_string(), expected })
+    };
+    match given {
+        Some(found) if !(found.is_finite() && found > 0.0) => rejected(found, "a positive number"),
+        Some(found) if !is_told => rejected(found, "nothing: no checkpoint is told it"),
+        Some(stiffness) => {
+            streams.iter_mut().for_each(|stream| stream.stiffness = Some(stiffness));
+            Ok(())
+        }
+        None if is_told => {
+            let mut all = streams.iter().map(Trajectory::known_stiffness);
+            all.try_for_each(|known| known.map(drop)).map_err(EvaluationError::UnknownStiffness)
+        }
+        None => Ok(()),
     }
 }
 

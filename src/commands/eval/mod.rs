@@ -87,6 +87,7 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
         checkpoints,
         recorded,
         streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
+        stiffness: args.stiffness,
         settings: Settings::full(args.horizon, args.starts),
         references: args.references.iter().map(reference).collect(),
         join_late: args.join_late,

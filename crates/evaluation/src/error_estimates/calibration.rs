@@ -35,6 +35,8 @@ const FOLDS: usize = 5;
 pub struct CalibrationRequest {
     /// Streams; those that the model was trained on are excluded.
     pub streams: Vec<Trajectory>,
+    /// Young's modulus of all streams (density x velocity^2), for a model that is told it; by default that of each stream.
+    pub stiffness: Option<f32>,
     /// Largest number of frames ahead.
     pub horizon: usize,
     /// Rollouts per stream.
@@ -65,7 +67,7 @@ impl Calibration {
         request: CalibrationRequest,
         progress: &dyn Progress,
     ) -> Result<Self, EvaluationError> {
-        let CalibrationRequest { streams, horizon, starts, threads } = request;
+        let CalibrationRequest { streams, stiffness, horizon, starts, threads } = request;
         for (field, found) in [("horizon", horizon), ("starts", starts)] {
             if found == 0 {
                 return Err(EvaluationError::request(field, found, "at least 1"));
@@ -73,7 +75,7 @@ impl Calibration {
         }
         let settings = Settings::errors_only(horizon, starts);
         let Selection { streams, context, mut remarks, .. } =
-            Selection::new(settings, &[surrogate.description()], streams)?;
+            Selection::new(settings, &[surrogate.description()], streams, stiffness)?;
         let all = streams.len();
         let has_rollouts = |stream: &Trajectory| !context.starts(stream.frames).is_empty();
         let streams: Vec<Trajectory> = streams.into_iter().filter(has_rollouts).collect();
@@ -250,7 +252,8 @@ mod tests {
 
     fn request(streams: &[Trajectory]) -> CalibrationRequest {
         let streams = streams.to_vec();
-        CalibrationRequest { streams, horizon: 7, starts: 3, threads: NonZeroUsize::new(2) }
+        let (stiffness, threads) = (None, NonZeroUsize::new(2));
+        CalibrationRequest { streams, stiffness, horizon: 7, starts: 3, threads }
     }
 
     #[test]
