@@ -12,6 +12,7 @@ use super::{
 };
 use crate::cli::PredictArgs;
 use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_evaluation::{EvaluationError, dataset};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{NodeSettings, Prediction, SurrogateNode};
 use eddy_settings::usage::Usage;
@@ -27,9 +28,13 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     let mut settings = NodeSettings::default();
     let options = args.settings.parameters();
     options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
+    let reader = BagReader::open(&args.input)?;
+    if surrogate.description().stiffness && settings.stiffness.is_none() {
+        let stiffness = dataset::stiffness_of(&reader, &args.topic);
+        settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
+    }
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
-    let reader = BagReader::open(&args.input)?;
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
     let messages = reader.messages_of(&args.topic, ParticleFrame::TYPE)?;

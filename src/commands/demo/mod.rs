@@ -72,6 +72,10 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         true => NodeSettings::default(),
         false => NodeSettings { use_sim_time: true, max_streams: 1, ..NodeSettings::default() },
     };
+    // All scenes have the preset's.
+    let stiffness = first.scene().materials.stiffness;
+    let stiffness = surrogate.description().stiffness.then_some(stiffness.into());
+    let settings = NodeSettings { stiffness, ..settings };
     let (handle, source) = (Arc::new(NodeHandle::default()), Arc::new(PlayerHandle::default()));
     let page = (!args.headless).then(|| {
         let panel = ControlPanel::of_both(Arc::clone(&handle), Arc::clone(&source));
@@ -218,11 +222,13 @@ fn report(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let streams = dataset::load_trajectories(
+    let mut streams = dataset::load_trajectories(
         &[bag.to_owned()],
         dataset::available_memory() / 2,
         &mut |_, _| (),
     )?;
+    let stiffness = node.settings().stiffness.map(|stiffness| stiffness as f32);
+    streams.iter_mut().for_each(|stream| stream.stiffness = stiffness);
     let settings = Settings::errors_only(20, 10);
     let longest = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
     let horizon = settings.horizon;

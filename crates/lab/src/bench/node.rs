@@ -99,8 +99,11 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     let (model, threads) = alone(&surrogate, &frame, plan)?;
     let warm_up = u64::from(surrogate.description().warm_up);
     let each = (plan.seconds * plan.hertz).ceil() as u64;
-    let settings =
-        NodeSettings { max_streams: plan.streams.max(1) as usize, ..NodeSettings::default() };
+    let settings = NodeSettings {
+        max_streams: plan.streams.max(1) as usize,
+        stiffness: stiffness(&surrogate).map(f64::from),
+        ..NodeSettings::default()
+    };
     let queue = FrameQueue::new(settings.queue, Reliability::Drop);
     let mut node = SurrogateNode::new(surrogate, settings)?;
 
@@ -190,11 +193,16 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     })
 }
 
+/// A stiffness for a network that is told it, on which times do not depend.
+fn stiffness(surrogate: &Surrogate) -> Option<f32> {
+    surrogate.description().stiffness.then_some(1e3)
+}
+
 /// Time per frame of the model alone at the same rate, with equally cold caches and sleeping threads, and its number of
 /// threads.
 fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, usize), ModelError> {
     let mut stepper = surrogate.stepper();
-    let mut memory = surrogate.start(frame)?;
+    let mut memory = surrogate.start_with_stiffness(frame, stiffness(surrogate))?;
     let mut next = frame.clone();
     let pause = Duration::from_secs_f64(1.0 / (plan.hertz * plan.streams.max(1) as f64));
     let frames = WARM_UP + (plan.seconds / 2.0 / pause.as_secs_f64()) as usize + 1;

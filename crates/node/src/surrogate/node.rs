@@ -91,9 +91,13 @@ impl SurrogateNode {
     /// A node without streams.
     ///
     /// # Errors
-    /// [`InvalidSettings`] when a setting is out of range.
+    /// [`InvalidSettings`] when a setting is out of range, or the model requires a stiffness that is missing, or does not use
+    /// one.
     pub fn new(surrogate: Surrogate, settings: NodeSettings) -> Result<Self, InvalidSettings> {
         settings.check()?;
+        surrogate
+            .check_stiffness(settings.stream_stiffness())
+            .map_err(|error| InvalidSettings::Stiffness { reason: error.to_string() })?;
         Ok(Self {
             stepper: surrogate.stepper(),
             surrogate,
@@ -382,7 +386,8 @@ impl SurrogateNode {
 
     /// Adds the stream of `frame`, its first frame, which is yet to be observed.
     fn start(&mut self, frame: &Frame) -> Result<(), Rejection> {
-        let memory = self.surrogate.start(frame)?;
+        let stiffness = self.settings.stream_stiffness();
+        let memory = self.surrogate.start_with_stiffness(frame, stiffness)?;
         if self.warned.len() >= MAX_WARNED {
             self.warned.clear();
         }

@@ -14,11 +14,13 @@ const LIVE: &[(&str, &str)] = &[
     ("horizon", "horizon"),
     ("publish", "publish"),
     ("free_run", "free-run"),
+    ("stiffness", "stiffness"),
     ("cloud", "cloud"),
     ("group", "group"),
 ];
 /// Options of the node's code over a bag.
-const OFFLINE: &[(&str, &str)] = &[("horizon", "horizon"), ("publish", "publish")];
+const OFFLINE: &[(&str, &str)] =
+    &[("horizon", "horizon"), ("publish", "publish"), ("stiffness", "stiffness")];
 
 /// The settings that were given on the command line.
 #[derive(Clone, Debug)]

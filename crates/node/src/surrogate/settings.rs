@@ -108,6 +108,8 @@ node_settings! {
         "Streams to keep at the same time; the least recently used one is evicted";
     max_expected_error: Option<f64> = None, Values::Number { range: 0.0..=1e6, unit: "domain lengths" }, CHANGEABLE,
         "Report WARN on /diagnostics if the position error of a prediction is expected to be larger; 0 never does; the checkpoint must be calibrated (eddy calibrate)";
+    stiffness: Option<f64> = None, Values::Number { range: 0.0..=1e9, unit: "(density x velocity^2)" }, READ_ONLY,
+        "Young's modulus of all streams, which a checkpoint that is told the stiffness requires; 0 gives none, and eddy predict then takes it from manifest.json beside the bag";
     queue: usize = 64, whole(1..=65_536, "frames"), READ_ONLY,
         "Frames that may wait for the model";
     cloud: bool = false, Values::Bool, READ_ONLY,
@@ -144,6 +146,9 @@ pub enum InvalidSettings {
     /// `/clock` cannot be subscribed to.
     #[error("use_sim_time: cannot subscribe to /clock: {reason}")]
     Clock { reason: String },
+    /// The checkpoint is told the stiffness, which is missing, or does not use it.
+    #[error("{reason}")]
+    Stiffness { reason: String },
     /// The parameter cannot be changed while the node runs.
     #[error("{field}: read-only while the node runs; set it at the start")]
     ReadOnly { field: &'static str },
@@ -266,6 +271,11 @@ impl NodeSettings {
         }
     }
 
+    /// The stiffness for the model.
+    pub(super) fn stream_stiffness(&self) -> Option<f32> {
+        self.stiffness.map(|stiffness| stiffness as f32)
+    }
+
     /// All parameters with their values.
     pub fn parameters(&self) -> Vec<Parameter> {
         let named =
@@ -291,6 +301,7 @@ mod tests {
             max_gap: 5,
             max_streams: 6,
             max_expected_error: Some(0.25),
+            stiffness: Some(3e4),
             queue: 8,
             cloud: true,
             use_sim_time: true,
@@ -340,6 +351,16 @@ mod tests {
                 "max_expected_error",
                 ParameterValue::integer(-1),
                 "max_expected_error: found -1, expected 0 to 1000000",
+            ),
+            (
+                "stiffness",
+                ParameterValue::double(f64::INFINITY),
+                "stiffness: found inf, expected 0 to 1000000000",
+            ),
+            (
+                "stiffness",
+                ParameterValue::double(-1e4),
+                "stiffness: found -10000, expected 0 to 1000000000",
             ),
             ("max_gap", ParameterValue::integer(-1), "max_gap: found -1, expected 0 to 1000"),
             (

@@ -120,7 +120,7 @@ fn parameters_are_set_one_by_one_and_rejected_with_a_reason() {
             call(&mut services, "set_parameters", &SetParametersRequest { parameters });
         let reasons: Vec<_> =
             answer.results.iter().map(|r| (r.successful, r.reason.as_str())).collect();
-        let unknown = "parameter: found depth, expected one of horizon, publish, free_run, max_gap, max_streams, max_expected_error, queue, cloud, use_sim_time, group";
+        let unknown = "parameter: found depth, expected one of horizon, publish, free_run, max_gap, max_streams, max_expected_error, stiffness, queue, cloud, use_sim_time, group";
         assert_eq!(
             reasons,
             [
@@ -167,7 +167,7 @@ fn parameters_are_listed_with_their_kinds_ranges_and_whether_they_are_read_only(
         let read_only = described.descriptors.iter().filter(|d| d.read_only);
         assert_eq!(
             read_only.map(|d| d.name.as_str()).collect::<Vec<_>>(),
-            ["queue", "cloud", "group"]
+            ["stiffness", "queue", "cloud", "group"]
         );
     });
 }
