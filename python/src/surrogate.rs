@@ -63,10 +63,17 @@ impl Surrogate {
     }
 
     /// Begins a stream with its first frame, which is not observed yet: pass it to `Stream.step` first. The particle model takes
-    /// the shape of jelly and rope in this frame as their rest shape.
-    fn stream(slf: &Bound<'_, Self>, first: &Bound<'_, Frame>) -> PyResult<Stream> {
+    /// the shape of jelly and rope in this frame as their rest shape. A network that is told the stiffness needs that of the stream,
+    /// Young's modulus (density x velocity^2); others take none.
+    #[pyo3(signature = (first, *, stiffness=None))]
+    fn stream(
+        slf: &Bound<'_, Self>,
+        first: &Bound<'_, Frame>,
+        stiffness: Option<f32>,
+    ) -> PyResult<Stream> {
         let first = Arc::clone(&first.get().inner);
-        let hidden = slf.get().inner.start(&first).map_err(unfit)?;
+        let surrogate = &slf.get().inner;
+        let hidden = surrogate.start_with_stiffness(&first, stiffness).map_err(unfit)?;
         Ok(Stream { surrogate: slf.clone().unbind(), hidden: Mutex::new(hidden), first })
     }
 
