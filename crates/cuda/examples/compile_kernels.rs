@@ -67,6 +67,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut description = Description::untrained(Architecture::Particle, core, sizes);
         let levels = channels.len();
         description.grid.iter_mut().for_each(|grid| grid.channels = channels.clone());
+        // One variant for both: a grid of four levels, and a network that is told the stiffness.
+        description.stiffness = levels > 3;
         let constants = particle::TrainingConstants::of(&description)?;
         let name = format!("training-{}-{hidden}-{levels}", core.name());
         Ok((name, Box::new(constants) as Box<dyn Program>))
