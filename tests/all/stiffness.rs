@@ -1,0 +1,154 @@
+//! A network that is told the stiffness of a stream: where the stiffness comes from, and what is said where it is missing.
+
+use std::{fs, path::Path};
+
+use eddy_inference::checkpoint::Checkpoint;
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::support::{fail, succeed};
+
+const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru");
+
+/// Small scenes, each with a stiffness of its own, and a network that is trained on them and told the stiffness.
+struct World {
+    folder: TempDir,
+}
+
+impl World {
+    fn new() -> Self {
+        let world = Self { folder: tempfile::tempdir().unwrap() };
+        world.simulate("seen", "1", "5");
+        world.simulate("unseen", "2", "10");
+        fs::write(world.path("train.toml"), TRAINING).unwrap();
+        succeed(world.train("seen", "model"));
+        world
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn simulate(&self, name: &str, seed: &str, scenes: &str) {
+        let output = self.path(name);
+        let arguments = ["simulate", "--preset", "kinds", "--particles", "250", "--seed", seed];
+        let more = ["--scenes", scenes, "--duration", "0.4", "--stiffness", "300..3e4"];
+        succeed([&arguments[..], &more, &["--output", &output]].concat());
+    }
+
+    fn train(&self, data: &str, output: &str) -> Vec<String> {
+        let [data, output, config] = [data, output, "train.toml"].map(|name| self.path(name));
+        let all = ["train", "--data", &data, "--output", &output, "--config", &config];
+        all.into_iter().map(str::to_owned).collect()
+    }
+
+    fn eval(&self, checkpoint: &str, more: &[&str]) -> Vec<String> {
+        let [data, output] = ["unseen", "report"].map(|name| self.path(name));
+        let all = ["eval", "--checkpoint", checkpoint, "--data", &data, "--output", &output];
+        let all = [&all[..], &["--force", "--horizon", "3", "--starts", "2"], more].concat();
+        all.into_iter().map(str::to_owned).collect()
+    }
+
+    /// The skill of the network in an evaluation.
+    fn skill(&self, more: &[&str]) -> Value {
+        succeed(self.eval(&self.path("model"), more));
+        let text = fs::read_to_string(self.path("report/report.json")).unwrap();
+        let report: Value = serde_json::from_str(&text).unwrap();
+        report["predictors"][0]["skill"].clone()
+    }
+
+    fn predict(&self, checkpoint: &str, output: &str, more: &[&str]) -> Vec<String> {
+        let [bag, output] = ["unseen/scene_0001", output].map(|name| self.path(name));
+        let all = ["predict", "--checkpoint", checkpoint, "--input", &bag, "--output", &output];
+        [&all[..], more].concat().into_iter().map(str::to_owned).collect()
+    }
+
+    /// The bytes of the predictions.
+    fn predicted(&self, output: &str, more: &[&str]) -> Vec<u8> {
+        succeed(self.predict(&self.path("model"), output, more));
+        fs::read(self.path(&format!("{output}/{output}_0.mcap"))).unwrap()
+    }
+}
+
+/// A small network and a short training.
+const TRAINING: &str = "
+epochs = 1
+unroll = [{ share = 1.0, frames = 2 }]
+network.stiffness = true
+network.encoder = 8
+network.hidden = 8
+network.channels = [8, 8, 8]
+windows.per_epoch = 64
+validation.horizon = 4
+";
+
+#[test]
+fn a_network_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
+    let world = World::new();
+    let model = world.path("model");
+    let description = Checkpoint::load(Path::new(&model)).unwrap().description;
+    assert!(description.stiffness);
+
+    let manifest = fs::read_to_string(world.path("unseen/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    let scene = &manifest["scenes"][1]["scene"];
+    assert_eq!(scene["id"], 1);
+    let own = scene["materials"]["stiffness"].to_string();
+    let found = world.predicted("own", &[]);
+    assert!(found == world.predicted("given", &["--stiffness", &own]), "{own}");
+    assert!(found != world.predicted("other", &["--stiffness", "3e5"]), "{own}");
+
+    assert_ne!(world.skill(&[]), world.skill(&["--stiffness", "3e5"]));
+    let calibrate = ["calibrate", "--checkpoint", &model, "--data", &world.path("unseen")];
+    let calibrate = [&calibrate[..], &["--horizon", "3", "--starts", "3", "--force"]].concat();
+    succeed(&calibrate);
+    let errors = || fs::read_to_string(world.path("model/error_model.toml")).unwrap();
+    let own = errors();
+    succeed([&calibrate[..], &["--stiffness", "3e5"]].concat());
+    assert_ne!(errors(), own);
+
+    // The bags alone do not say it.
+    for data in ["seen", "unseen"] {
+        fs::remove_file(world.path(&format!("{data}/manifest.json"))).unwrap();
+    }
+    let expected = "stiffness: found nothing, expected manifest.json of `eddy simulate`";
+    for (arguments, words) in [
+        (world.train("seen", "again"), ["seen/scene_0000", "beside the bag"]),
+        (world.eval(&model, &[]), ["unseen/scene_0000", "beside the bag, or --stiffness"]),
+        (calibrate.iter().map(ToString::to_string).collect(), ["unseen/scene_0000", "--stiffness"]),
+        (world.predict(&model, "no", &[]), ["unseen/scene_0001", "--stiffness"]),
+    ] {
+        let message = fail(1, arguments);
+        for word in [expected, words[0], words[1]] {
+            assert!(message.contains(word), "`{word}` is not in: {message}");
+        }
+    }
+    assert!(!Path::new(&world.path("no")).exists());
+    world.skill(&["--stiffness", "1e4"]);
+
+    let expected = "stiffness: found nothing, expected Young's modulus of the stream";
+    let message = fail(1, ["node", "--checkpoint", &model, "--input", "shm:/told/particles"]);
+    assert!(message.contains(expected), "{message}");
+}
+
+#[test]
+fn a_stiffness_for_a_network_that_does_not_use_it_is_refused() {
+    let world = World { folder: tempfile::tempdir().unwrap() };
+    world.simulate("unseen", "2", "2");
+    let given = &["--stiffness", "1e4"];
+    let message = fail(1, world.eval(SHIPPED, given));
+    let expected = "stiffness: found 10000, expected nothing: no checkpoint is told it";
+    assert!(message.contains(expected), "{message}");
+    let expected = "stiffness: found 10000, expected nothing: the checkpoint does not use it";
+    for arguments in [
+        world.predict(SHIPPED, "no", given),
+        ["node", "--checkpoint", SHIPPED, "--input", "shm:/told/particles", "--stiffness", "1e4"]
+            .map(str::to_owned)
+            .into(),
+    ] {
+        let message = fail(1, arguments);
+        assert!(message.contains(expected), "{message}");
+    }
+    let message = fail(2, world.predict(SHIPPED, "no", &["--stiffness", "-1"]));
+    assert!(message.contains("stiffness: found -1, expected 0 to 1000000000"), "{message}");
+}
