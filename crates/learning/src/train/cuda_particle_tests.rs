@@ -139,10 +139,19 @@ fn nearly(weights: &BTreeMap<String, Weights>, seed: u64) -> BTreeMap<String, We
 
 /// A training in the emulator.
 fn training(config: &TrainConfig, description: &Description, streams: &[Trajectory]) -> Training {
-    let device: Arc<dyn Device> =
-        Arc::new(Emulator::new(&TrainingConstants::of(description).unwrap()).unwrap());
+    let constants = TrainingConstants::of(description).unwrap();
+    training_on(Emulator::new(&constants).unwrap(), config, description, streams)
+}
+
+fn training_on(
+    device: Emulator,
+    config: &TrainConfig,
+    description: &Description,
+    streams: &[Trajectory],
+) -> Training {
+    let device: Arc<dyn Device> = Arc::new(device);
     let store = cuda::particle_store(&*device, streams, SPACING).unwrap();
-    let settings = cuda::settings(config, config.unroll[0].frames, 1);
+    let settings = cuda::settings(config, config.unroll[0].frames, device.rank().count);
     let training = Training::new(device, Arc::new(store), description, &settings).unwrap();
     training.set_weights(&weights(description, SEED)).unwrap();
     training
@@ -282,9 +291,58 @@ fn grids_of_two_and_four_levels_take_the_steps_of_the_cpu() {
 #[test]
 fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
     let mut config = config(Core::MinGru);
-    config.network.channels = vec![6, 20, 24];
+    config.network.channels = vec![36, 20, 24];
     config.windows.batch = 2;
     compare(&config, &streams_of([[9, 8], [8, 9]]));
+}
+
+#[test]
+fn two_devices_take_the_steps_of_one_with_both_parts_of_the_batch() {
+    let mut config = config(Core::MinGru);
+    config.windows.batch = 4;
+    let (streams, description) = (streams(), description(&config));
+    let unroll = config.unroll[0].frames;
+    let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
+    let mut state = RunState::new(&config, &description, DeviceKind::Flex);
+    let scale = scale(&config, &description, &sampler, &mut state);
+    let draws: Vec<_> = (0..3).map(|_| sampler.choose_many(4, &mut state.order)).collect();
+    let steps = |devices: usize, rank: usize| -> Vec<_> {
+        let step = |(number, draws): (usize, &Vec<_>)| {
+            let part = draws.len() / devices;
+            let own = &draws[part * rank..part * (rank + 1)];
+            let correction = Correction::new(number as u32 + 1, 1e-2, &config.optimizer);
+            let weights = cuda::weights(&scale, &sampler, own, unroll).unwrap();
+            cuda::batch(own, &correction, None, Some(weights))
+        };
+        draws.iter().enumerate().map(step).collect()
+    };
+    let run = |mut training: Training, batches: Vec<_>| {
+        training.start(&batches).unwrap();
+        (training.outcomes(batches.len()).unwrap(), training.weights().unwrap())
+    };
+    let expected = run(training(&config, &description, &streams), steps(1, 0));
+
+    let devices = Emulator::group(&TrainingConstants::of(&description).unwrap(), 2).unwrap();
+    let found = std::thread::scope(|scope| {
+        let start = |(rank, device)| {
+            let (config, description, streams) = (&config, &description, &streams);
+            let (run, batches) = (&run, steps(2, rank));
+            scope.spawn(move || run(training_on(device, config, description, streams), batches))
+        };
+        let threads: Vec<_> = devices.into_iter().enumerate().map(start).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+    });
+    assert!(found[0] == found[1], "both have the same bits");
+    for (found, expected) in found[0].0.iter().zip(&expected.0) {
+        assert!(
+            (f64::from(found.loss / expected.loss) - 1.0).abs() < 1e-5,
+            "{found:?}, {expected:?}"
+        );
+    }
+    for (name, expected) in &expected.1 {
+        let apart = relative_error(&found[0].1[name].values, &expected.values);
+        assert!(apart < 1e-5, "{name}: relative error {apart:.1e}");
+    }
 }
 
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.

@@ -12,11 +12,7 @@
 //! Widths are rounded up to 4; the bias is the row behind them.
 
 use eddy_inference::{
-    checkpoint::{
-        Core, Description,
-        grid::GridLayer,
-        layout,
-    },
+    checkpoint::{Core, Description, grid::GridLayer, layout},
     kernels::nodes::MAX_LEVELS,
 };
 
