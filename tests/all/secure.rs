@@ -53,7 +53,9 @@ impl Place {
     /// A configuration for a process that listens there and connects there.
     fn configuration(&self, listen: u16, connect: u16, changes: &[(&str, &str)]) -> PathBuf {
         let mut text = self.example.clone();
-        let ports = [("7460", listen.to_string()), ("7461", connect.to_string())];
+        // With what is around them: the digits of one may be part of another port.
+        let ports = [(r#":7460""#, listen), (r#":7461""#, connect)];
+        let ports = ports.map(|(from, to)| (from, format!(r#":{to}""#)));
         let ports = ports.iter().map(|(from, to)| (*from, to.as_str()));
         for (from, to) in ports.chain(changes.iter().copied()) {
             assert!(text.contains(from), "{from}");
