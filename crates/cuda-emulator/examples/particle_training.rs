@@ -71,6 +71,17 @@ impl Problem {
         Self { description, weights, settings, side, streams: 8 }
     }
 
+    /// The same but for the last bits of the weights.
+    fn nearly(&self, seed: u64) -> Self {
+        let mut noise = Noise(100 + seed);
+        let mut weights = self.weights.clone();
+        for weight in weights.values_mut().flat_map(|weights| &mut weights.values) {
+            *weight *= 1.0 + 2e-7 * noise.next();
+        }
+        let Self { description, settings, .. } = self;
+        Self { description: description.clone(), settings: settings.clone(), weights, ..*self }
+    }
+
     fn store(&self, device: &dyn Device) -> Result<Store> {
         let particles = 4 * self.side * self.side;
         let mut noise = Noise(3);
@@ -161,6 +172,7 @@ fn check() -> Result<()> {
         let settings = Settings { epsilon: 1e-4, ..settings(3, 3, 3) };
         let problem = Problem::new(core, usual(), 5, settings);
         let constants = TrainingConstants::of(&problem.description)?;
+        let emulator = Arc::new(Emulator::new(&constants)?);
         let run = |device: Arc<dyn Device>| -> Result<_> {
             let mut training = problem.training(device)?;
             let batches = problem.batches(4);
@@ -170,18 +182,25 @@ fn check() -> Result<()> {
             outcomes.extend(training.outcomes(3)?);
             Ok((outcomes, gradients, training.weights()?))
         };
-        let expected = run(Arc::new(Emulator::new(&constants)?))?;
+        let expected = run(emulator.clone())?;
+        // Where a unit is at the bend of its ReLU, the last bits of the weights decide on its gradient.
+        let mut most = 1e-5f64;
+        for seed in 0..3 {
+            let near = problem.nearly(seed);
+            let mut training = near.training(emulator.clone())?;
+            training.start(&near.batches(1))?;
+            most = most.max(2.0 * worst(&training.gradients()?, &expected.1));
+        }
         let gpu = || Gpu::new(0, &constants, Precision::Fp32, None);
         let found = run(Arc::new(gpu()?))?;
         let again = run(Arc::new(gpu()?))?;
         let (gradient, weights) = (worst(&found.1, &expected.1), worst(&found.2, &expected.2));
         println!(
-            "{}: relative errors: gradient {gradient:.1e}, weights after 4 steps {weights:.1e}",
+            "{}: relative errors: gradient {gradient:.1e}, at most {most:.1e}; weights after 4 steps {weights:.1e}",
             core.name()
         );
-        // A unit at the bend of its ReLU can change the weights of later steps more than the first gradient.
-        if gradient > 1e-5 || weights > 1e-2 {
-            return Err("relative error above 1e-5 of the gradient, or 1e-2 of the weights".into());
+        if gradient > most || weights > 1e-2 {
+            return Err("relative error above that of the gradient, or 1e-2 of the weights".into());
         }
         if found != again {
             return Err("two runs with the same settings differ".into());
