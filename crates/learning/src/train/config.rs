@@ -229,7 +229,7 @@ impl NetworkConfig {
             normalize_gates: true,
             frame: FrameOptions::default(),
             cell_width: 1.0 / 32.0,
-            channels: vec![24, 32, 48],
+            channels: vec![24, 32, 48, 64],
             stiffness: false,
         }
     }
