@@ -114,9 +114,12 @@ fn a_network_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
     let expected = "stiffness: found nothing, expected manifest.json of `eddy simulate`";
     for (arguments, words) in [
         (world.train("seen", "again"), ["seen/scene_0000", "beside the bag"]),
-        (world.eval(&model, &[]), ["unseen/scene_0000", "beside the bag, or --stiffness"]),
-        (calibrate.iter().map(ToString::to_string).collect(), ["unseen/scene_0000", "--stiffness"]),
-        (world.predict(&model, "no", &[]), ["unseen/scene_0001", "--stiffness"]),
+        (world.eval(&model, &[]), ["unseen/scene_0000", "or `stiffness` given"]),
+        (
+            calibrate.iter().map(ToString::to_string).collect(),
+            ["unseen/scene_0000", "or `stiffness` given"],
+        ),
+        (world.predict(&model, "no", &[]), ["unseen/scene_0001", "or `stiffness` given"]),
     ] {
         let message = fail(1, arguments);
         for word in [expected, words[0], words[1]] {

@@ -199,8 +199,14 @@ fn check() -> Result<()> {
             "{}: relative errors: gradient {gradient:.1e}, at most {most:.1e}; weights after 4 steps {weights:.1e}",
             core.name()
         );
-        if gradient > most || weights > 1e-2 {
-            return Err("relative error above that of the gradient, or 1e-2 of the weights".into());
+        if gradient > most || most > 1e-3 {
+            return Err(format!(
+                "gradient: {gradient:.1e} apart, expected at most {most:.1e} and 1e-3"
+            )
+            .into());
+        }
+        if weights > 1e-2 {
+            return Err(format!("weights: {weights:.1e} apart, expected at most 1e-2").into());
         }
         if found != again {
             return Err("two runs with the same settings differ".into());

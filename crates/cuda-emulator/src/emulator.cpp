@@ -1,6 +1,6 @@
 // Runs the kernels' text on the CPU, for tests on machines without a GPU: a fiber per CUDA thread, the blocks of a
-// grid one after the other. `__shared__` is static memory; `__syncthreads` waits for every fiber of the block, what a
-// warp does together for every fiber of the warp. The file is compiled behind the constants and in front of `EMULATED_KERNELS`, which the caller writes.
+// grid one after the other. `__shared__` is static memory; `__syncthreads` waits for every fiber of the block, and
+// what a warp does together, for every fiber of the warp. The file is compiled behind the constants and in front of `EMULATED_KERNELS`, which the caller writes.
 #include <setjmp.h>
 #include <ucontext.h>
 

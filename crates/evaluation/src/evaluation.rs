@@ -116,7 +116,7 @@ pub enum EvaluationError {
         expected: &'static str,
     },
     /// A checkpoint is told the stiffness of a stream, which is not known.
-    #[error("{0}, or --stiffness")]
+    #[error("{0}, or `stiffness` given for all streams")]
     UnknownStiffness(DatasetError),
     /// A bag cannot be read.
     #[error(transparent)]
@@ -527,7 +527,11 @@ mod tests {
         streams[1].stiffness = None;
         let message = rejection(request(&streams, None));
         assert!(message.contains("scene_0001: stream 1: stiffness: found nothing"), "{message}");
-        assert!(message.ends_with("with this scene beside the bag, or --stiffness"), "{message}");
+        assert!(
+            message
+                .ends_with("with this scene beside the bag, or `stiffness` given for all streams"),
+            "{message}"
+        );
     }
 
     fn request(streams: &[Trajectory]) -> EvaluationRequest {

@@ -34,7 +34,7 @@ pub(super) const ROWS: usize = 4;
 pub(super) const MOST_PARTS: usize = 8;
 /// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
 /// capability 8.0 on (bytes).
-pub(super) const SHARED: [usize; 2] = [72 << 10, 150 << 10];
+pub(super) const SHARED: [usize; 2] = [72 << 10, 98 << 10];
 
 /// What the kernels are compiled for: the widths and choices of a particle model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -119,12 +119,12 @@ impl Constants {
         let Some(tile) = fitting(&[64, 32, 16, 8, ROWS], bytes) else {
             let setting =
                 format!("network.encoder {} with network.hidden {}", sizes.encoder, sizes.hidden);
-            return Err(unsupported(setting, "at most about 1500 for each on a GPU"));
+            return Err(unsupported(setting, "at most about 950 for each on a GPU"));
         };
         let widest = constants.widest_list();
         let Some(nodes) = fitting(&[16, 8, ROWS], |nodes| 4 * nodes * odd(9 * widest)) else {
             let setting = format!("surroundings.channels {:?}", grid.channels);
-            return Err(unsupported(setting, "at most 1000 each on a GPU"));
+            return Err(unsupported(setting, "at most about 690 each on a GPU"));
         };
         (constants.tile, constants.nodes) = (tile, nodes);
         Ok(constants)

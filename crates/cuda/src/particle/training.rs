@@ -10,8 +10,7 @@
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
 //! | encode | 16 particles a warp | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
-//! | layers on the finest nodes | 16 nodes a warp | a field | the next field |
-//! | all layers on coarser nodes | a frame of a window | fields | fields |
+//! | layers on nodes | 8 columns of 16 nodes | a field | the next field |
 //! | decode | 16 particles a warp | the last field, features, states | states, outputs |
 //! | advance | 256 particles | outputs, trajectories | the next frame's particles, squares of errors |
 //!

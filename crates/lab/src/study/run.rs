@@ -291,8 +291,8 @@ impl<'a> Work<'a> {
             recorded: Vec::new(),
             checkpoints,
             streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
-            // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
             stiffness: None,
+            // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
             settings: Settings::errors_only(evaluation.horizon, evaluation.starts),
             references: Vec::new(),
             join_late: true,

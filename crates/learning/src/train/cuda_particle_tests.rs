@@ -296,6 +296,27 @@ fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
     compare(&config, &streams_of([[9, 8], [8, 9]]));
 }
 
+/// A batch so large that a share of the gradients by weights has several frames, in a window that is longer than its warm-up; more
+/// columns of gates than a block has; a single frame.
+#[test]
+fn large_batches_wide_gates_and_a_single_frame_take_the_steps_of_the_cpu() {
+    let mut large = config(Core::MinGru);
+    large.network.encoder = 4;
+    large.network.hidden = 5;
+    large.network.layers = 1;
+    large.network.channels = vec![3, 4];
+    large.windows.batch = 64;
+    compare(&large, &streams());
+
+    let mut wide = config(Core::Gru);
+    wide.network.hidden = 45;
+    wide.network.layers = 1;
+    wide.windows.batch = 2;
+    wide.windows.warm_up = 1;
+    wide.unroll = vec![UnrollStage { share: 1.0, frames: 1 }];
+    compare(&wide, &streams());
+}
+
 #[test]
 fn two_devices_take_the_steps_of_one_with_both_parts_of_the_batch() {
     let mut config = config(Core::MinGru);

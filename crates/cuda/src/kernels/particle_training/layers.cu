@@ -18,7 +18,7 @@ struct NodeLayer {
 // grid (nodes / 16 columns / 8, sheets), block NODE_LAYER_THREADS
 #define NODE_LAYER_WARPS 4
 #define NODE_LAYER_THREADS (NODE_LAYER_WARPS * WARP)
-// Steps of 16 numbers that a warp reads before it needs them.
+// Steps of 16 numbers that a warp reads before it needs them: all of its share of 9 x 32 numbers.
 #define AHEAD 5
 extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) train_layer(const Plan* __restrict__ plan, NodeLayer layer, int first) {
   __shared__ u32 around[WARP_ROWS * STENCIL];
@@ -92,7 +92,7 @@ extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) train_layer(con
 }
 
 // Matrices for the way forwards, [columns, inner] from [inner, columns], and their biases. grid (x, matrices), block 256
-struct Transposed { int first, inner, columns, unused; };
+struct Transposed { int first, inner, columns; };
 extern "C" __global__ void __launch_bounds__(256) train_transpose(const Transposed* __restrict__ matrices, const float* __restrict__ w, float* __restrict__ transposed) {
   const Transposed matrix = matrices[blockIdx.y];
   const int size = matrix.inner * matrix.columns;
@@ -140,7 +140,7 @@ extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Pl
   const int inner = (of_nodes ? places_of(o.stencil) : 1) * o.width, columns = (spread ? CHILDREN : 1) * o.outputs;
   const int high = (o.left_end - o.left + 15) / 16, wide = (o.right_end - o.right + 7) / 8, tiles = high * wide;
   const int x_stride = outer_stride(16 * high), by_stride = outer_stride(8 * wide), rows = o.rows, length = rows * (x_stride + by_stride);
-  // Warps that share a tile take every so many eighth of the rows.
+  // Warps that share a tile take groups of 8 rows in turn.
   const int sharing = tiles < OUTER_WARPS ? OUTER_WARPS / tiles : 1, warp = threadIdx.x / WARP;
   const int part = warp % sharing, begun = warp / sharing, step = OUTER_WARPS / sharing;
   float sums[OUTER_TILES][4];
@@ -213,12 +213,15 @@ extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Pl
         const float *left = lefts + at_left[tile], *right = rights + at_right[tile];
         const Parts a[4] = {parts_of(left[0]), parts_of(left[8]), parts_of(left[4 * x_stride]), parts_of(left[4 * x_stride + 8])};
         const Parts c[2] = {parts_of(right[0]), parts_of(right[4 * by_stride])};
+        // One sum for both: registers are short.
         add_step(sums[tile], sums[tile], a, c);
       }
     }
     __syncthreads();
   }
   if (sharing > 1) {
+    // A share without rows comes here with ones in shared memory.
+    __syncthreads();
 #pragma unroll
     for (int i = 0; i < 4; i++) shared[threadIdx.x * 4 + i] = sums[0][i];
     __syncthreads();

@@ -1,5 +1,5 @@
-// Products on tensor cores, 16 rows a warp. Each factor is split into its leading 11 bits and the rest, which TF32 holds; but for
-// the product of the two rests, products are those of FP32. Matrices are [outputs, inner], so that a thread reads four numbers
+// Products on tensor cores, 16 rows a warp. Each factor is split into its leading 11 bits and the next 11, which TF32 holds; but for
+// the product of the latter and the last two bits, products are those of FP32. Matrices are [outputs, inner], so that a thread reads four numbers
 // behind each other.
 #define WARP_ROWS 16
 #define WARP 32

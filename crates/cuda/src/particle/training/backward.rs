@@ -3,8 +3,8 @@
 use super::{Training, plan::PARTICLE_THREADS};
 use crate::{device::Address, error::Result, kernels::Kernel, training::Matrix};
 
-/// Threads of a block that has nodes, and of a node.
-const NODE_THREADS: [usize; 2] = [128, 8];
+/// Threads of a block that has nodes, and of a node, of the gradient by means.
+const MEAN_THREADS: [usize; 2] = [128, 8];
 
 impl Training {
     fn weight(&self, matrix: &Matrix) -> Address {
@@ -28,7 +28,7 @@ impl Training {
         let shape = self.sums_on_nodes(c0.div_ceil(4), sheets);
         self.launch(Kernel::TrainGatherGradient, shape, &[plan, sheet.into()])?;
         self.layers_on_nodes(&self.node_layers.backward, sheet, sheets)?;
-        let [threads, of_node] = NODE_THREADS;
+        let [threads, of_node] = MEAN_THREADS;
         let by_node = Self::over(of_node * self.memory.nodes[0], threads, sheets);
         self.launch(Kernel::TrainMeansGradient, by_node, &[plan, sheet.into()])?;
         let [encoder, second] = &self.layout.encoder;

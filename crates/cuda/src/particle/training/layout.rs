@@ -63,7 +63,8 @@ impl TrainingConstants {
         let Some(warps) = fitting(&[4, 2, 1], bytes) else {
             let (encoder, hidden) = (network.encoder, network.hidden);
             let setting = format!("network.encoder {encoder} with network.hidden {hidden}");
-            let expected = "at most about 300 for each to train on a GPU";
+            let expected =
+                "at most about 250 hidden units and an encoder of about 1400 to train on a GPU";
             return Err(CudaError::Unsupported { setting, expected });
         };
         Ok(Self { network, warps })
@@ -211,9 +212,9 @@ impl Layout {
     }
 
     /// `struct Transposed` of the kernels for every matrix.
-    pub(super) fn transposed(&self) -> Vec<[i32; 4]> {
+    pub(super) fn transposed(&self) -> Vec<[i32; 3]> {
         let matrix = |matrix: &Matrix| {
-            [matrix.first, matrix.bias, matrix.columns, 0].map(|number| number as i32)
+            [matrix.first, matrix.bias, matrix.columns].map(|number| number as i32)
         };
         self.packing.matrices().iter().map(matrix).collect()
     }

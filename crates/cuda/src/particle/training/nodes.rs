@@ -17,13 +17,15 @@ use crate::{
 
 /// Threads of a block, `NODE_LAYER_THREADS` of the kernels.
 const THREADS: usize = 128;
+/// Warps that share the sums over particles: two for each row of a stencil, `SUM_THREADS` of the kernels.
+const SUM_WARPS: usize = 6;
 /// Nodes and columns of a block.
 const TILE: [usize; 2] = [16, 8];
 
 /// `struct NodeLayer` of the kernels.
 #[derive(Clone, Copy)]
 #[repr(C)]
-pub(super) struct NodeLayer {
+pub(super) struct LayerPass {
     weights: u64,
     bias: u64,
     from: u64,
@@ -43,14 +45,14 @@ pub(super) struct NodeLayer {
 }
 
 // SAFETY: integers without padding between them: 6 x 8 + 8 x 4 bytes.
-unsafe impl bytemuck::Zeroable for NodeLayer {}
+unsafe impl bytemuck::Zeroable for LayerPass {}
 // SAFETY: as above.
-unsafe impl bytemuck::Pod for NodeLayer {}
+unsafe impl bytemuck::Pod for LayerPass {}
 
 /// The layers of both passes, in their order.
 pub(super) struct NodeLayers {
-    pub(super) forward: Vec<NodeLayer>,
-    pub(super) backward: Vec<NodeLayer>,
+    pub(super) forward: Vec<LayerPass>,
+    pub(super) backward: Vec<LayerPass>,
 }
 
 /// `NEIGHBOURS`, `FROM_CHILDREN`, `TO_CHILDREN` of the kernels.
@@ -64,7 +66,7 @@ pub(super) fn stencil_number(stencil: Stencil) -> i32 {
 /// `ITSELF` of the kernels.
 pub(super) const ITSELF: i32 = 3;
 
-impl NodeLayer {
+impl LayerPass {
     /// Blocks for so many nodes of a sheet.
     fn blocks(&self, nodes: usize) -> usize {
         let to_children = self.stencil == stencil_number(Stencil::Parent);
@@ -89,10 +91,10 @@ impl NodeLayers {
         for (from, (matrix, layer)) in layout.grid.iter().zip(layers).enumerate() {
             let to = from + 1;
             let [width, outputs] = [from, to].map(|list| lists[list].1 as i32);
-            let inner = layer.stencil.places() as i32 * width;
+            let places = layer.stencil.places() as i32;
             let level = layer.node_level() as i32;
             let own = transposed.plus(matrix.first);
-            forward.push(NodeLayer {
+            forward.push(LayerPass {
                 weights: own.0,
                 bias: own.plus(matrix.bias * matrix.columns).0,
                 from: fields[from],
@@ -104,14 +106,14 @@ impl NodeLayers {
                 width,
                 outputs,
                 rectified: i32::from(layer.rectified),
-                row_step: inner,
+                row_step: places * width,
                 place_step: width,
                 unused: 0,
             });
             // What went to the children comes from them, and the other way round. A node is neighbour 8 - k of its neighbour k.
             let (stencil, first, row_step, place_step) = match layer.stencil {
                 Stencil::Neighbours => {
-                    (Stencil::Neighbours, 8 * width * outputs, outputs, -width * outputs)
+                    (Stencil::Neighbours, (places - 1) * width * outputs, outputs, -width * outputs)
                 }
                 Stencil::Children => (Stencil::Parent, 0, outputs, 0),
                 Stencil::Parent => {
@@ -122,7 +124,7 @@ impl NodeLayers {
             // The lists that a later layer adds have a gradient from there.
             let later =
                 layers.iter().position(|later| later.skip.is_some_and(|skip| skip + 1 == from));
-            backward.push(NodeLayer {
+            backward.push(LayerPass {
                 weights: weights.plus(matrix.first + first as usize).0,
                 bias: 0,
                 from: slopes[to],
@@ -148,7 +150,7 @@ impl Training {
     /// The layers of a pass on `sheets` sheets from `first` on.
     pub(super) fn layers_on_nodes(
         &self,
-        pass: &[NodeLayer],
+        pass: &[LayerPass],
         first: usize,
         sheets: usize,
     ) -> Result<()> {
@@ -161,9 +163,9 @@ impl Training {
         Ok(())
     }
 
-    /// Blocks for sums over the particles around nodes, so many numbers a node: six warps share 32, two for each row of stencils.
+    /// Blocks for sums over the particles around nodes, so many numbers a node, 32 a block.
     pub(super) fn sums_on_nodes(&self, numbers: usize, sheets: usize) -> Shape {
         let blocks = (self.memory.nodes[0] * numbers).div_ceil(WARP);
-        Shape::new(blocks, sheets, 6 * WARP)
+        Shape::new(blocks, sheets, SUM_WARPS * WARP)
     }
 }

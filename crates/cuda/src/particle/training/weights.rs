@@ -20,11 +20,13 @@ use eddy_inference::checkpoint::grid::Stencil;
 const BLOCKS: usize = 128;
 /// Threads of a block, `OUTER_THREADS` of the kernels.
 const THREADS: usize = 256;
+/// Tiles that a warp has at most, `OUTER_TILES` of the kernels.
+const OF_WARP: usize = 8;
 /// Rows and columns of a tile; the most tiles of a block along both, and in all.
 const TILE: [usize; 2] = [16, 8];
 const HIGH: usize = 10;
 const WIDE: usize = 16;
-const TILES: usize = THREADS / WARP * 8;
+const TILES: usize = THREADS / WARP * OF_WARP;
 /// Rows of nodes and of particles that a block has at a time: enough to hide the time that memory takes.
 const NODE_ROWS: usize = 16;
 const PARTICLE_ROWS: usize = 32;

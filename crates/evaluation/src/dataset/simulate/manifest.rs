@@ -278,7 +278,7 @@ impl ScenesBeside {
     }
 
     /// The stiffness of a stream (density x velocity^2), if `eddy simulate` has written its bag: its manifest must have the scene,
-    /// and the bag its name. Where a manifest cannot be read, a warning says why, once.
+    /// and the bag its name.
     pub(crate) fn stiffness(&mut self, bag: &Path, stream: u64) -> Option<f32> {
         if bag.file_name()? != directory(stream).as_str() {
             return None;
@@ -286,7 +286,8 @@ impl ScenesBeside {
         match self.of(bag, stream) {
             Ok(scene) => scene.map(|scene| scene.materials.stiffness),
             Err(error) => {
-                tracing::warn!("{error}: the stiffness of its scenes is not known");
+                // Networks that are told the stiffness say what they miss.
+                tracing::debug!("{error}: the stiffness of its scenes is not known");
                 self.0.insert(bag.parent()?.to_owned(), BTreeMap::new());
                 None
             }

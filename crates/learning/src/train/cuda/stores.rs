@@ -26,7 +26,7 @@ pub(in crate::train) fn program(description: &Description) -> Result<Box<dyn Pro
     })
 }
 
-/// How the kernels of a network multiply: those of the particle model have no other precision yet.
+/// How the kernels of a network multiply: those of the particle model always with the errors of FP32.
 pub(super) fn precision(description: &Description, wanted: Precision) -> Precision {
     match description.architecture {
         Architecture::Frame => wanted,
