@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut description = Description::untrained(Architecture::Particle, core, sizes);
         let levels = channels.len();
         description.grid.iter_mut().for_each(|grid| grid.channels = channels.clone());
-        // One variant for both: a grid of four levels, and a network that is told the stiffness.
+        // One variant covers both four levels of the grid and the stiffness as an input.
         description.stiffness = levels > 3;
         let constants = particle::TrainingConstants::of(&description)?;
         let name = format!("training-{}-{hidden}-{levels}", core.name());

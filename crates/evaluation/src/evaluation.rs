@@ -42,7 +42,7 @@ pub struct EvaluationRequest {
     pub recorded: Vec<Recorded>,
     /// Streams; those that a checkpoint was trained on are excluded.
     pub streams: Vec<Trajectory>,
-    /// Young's modulus of all streams (density x velocity^2), for checkpoints that are told it; by default that of each stream.
+    /// Young's modulus of all streams (density x velocity^2), for checkpoints with the stiffness as an input; by default that of each stream.
     pub stiffness: Option<f32>,
     /// Horizon, starts and measures.
     pub settings: Settings,
@@ -107,7 +107,7 @@ pub enum EvaluationError {
         /// Why.
         reason: Box<Self>,
     },
-    /// The given stiffness is invalid, or no checkpoint is told it.
+    /// The given stiffness is invalid, or no checkpoint has it as an input.
     #[error("stiffness: found {found}, expected {expected}")]
     Stiffness {
         /// The stiffness.
@@ -115,7 +115,7 @@ pub enum EvaluationError {
         /// What it should be.
         expected: &'static str,
     },
-    /// A checkpoint is told the stiffness of a stream, which is not known.
+    /// A checkpoint has the stiffness as an input, and that of a stream is not known.
     #[error("{0}, or `stiffness` given for all streams")]
     UnknownStiffness(DatasetError),
     /// A bag cannot be read.

@@ -254,7 +254,7 @@ kernels! {
     TrainDecode = "train_decode",
     /// Predicted frames and their squared errors.
     TrainAdvance = "train_advance",
-    /// Matrices for the way forwards.
+    /// Transposed matrices for the forward pass.
     TrainTranspose = "train_transpose",
     /// Gradient by the decoder's output.
     TrainOutputGradient = "train_output_gradient",

@@ -60,7 +60,7 @@ pub struct Training {
     optimizer: Optimizer,
     tables: Tables,
     memory: Memory,
-    /// The matrices for the way forwards, and what they are made of.
+    /// The transposed matrices, which the forward pass reads, and the table of those to transpose.
     transposed: Buffer,
     matrices: Buffer,
     node_layers: NodeLayers,
@@ -156,7 +156,7 @@ impl Training {
         for carried in &self.memory.carried {
             self.device.clear(Queue::Main, carried)?;
         }
-        // The gradients by weights fill processors that the way back leaves idle.
+        // The gradients by weights run beside the backward pass, which leaves multiprocessors idle.
         let mut end = self.outers.splits;
         for &(first, frames) in segments.iter().rev() {
             self.backward(first, frames)?;

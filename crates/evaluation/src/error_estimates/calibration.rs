@@ -35,7 +35,7 @@ const FOLDS: usize = 5;
 pub struct CalibrationRequest {
     /// Streams; those that the model was trained on are excluded.
     pub streams: Vec<Trajectory>,
-    /// Young's modulus of all streams (density x velocity^2), for a model that is told it; by default that of each stream.
+    /// Young's modulus of all streams (density x velocity^2), for a model with the stiffness as an input; by default that of each stream.
     pub stiffness: Option<f32>,
     /// Largest number of frames ahead.
     pub horizon: usize,

@@ -139,12 +139,7 @@ __device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entr
       const float (*weights)[3] = (const float (*)[3])(s.weights + at * (3 * DIM));
       const float weight = weights[0][slot < middle ? 2 : (slot < right ? 1 : 0)] * row_weight(weights, row);
       found.mass += weight;
-      if (quad < 0) continue;
-      const float4 value = *(const float4*)(values + (size_t)s.order[at] * stride + 4 * quad);
-      found.sum.x = fmaf(weight, value.x, found.sum.x);
-      found.sum.y = fmaf(weight, value.y, found.sum.y);
-      found.sum.z = fmaf(weight, value.z, found.sum.z);
-      found.sum.w = fmaf(weight, value.w, found.sum.w);
+      if (quad >= 0) add_scaled(found.sum, weight, *(const float4*)(values + (size_t)s.order[at] * stride + 4 * quad));
     }
   }
   sums[warp][lane_of()] = found;
@@ -153,10 +148,7 @@ __device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entr
 #pragma unroll
   for (int other = 0; other < SUM_SHARES * STENCIL_ROWS; other++) {
     const NodeSum part = sums[other][lane_of()];
-    found.sum.x += part.sum.x;
-    found.sum.y += part.sum.y;
-    found.sum.z += part.sum.z;
-    found.sum.w += part.sum.w;
+    add_scaled(found.sum, 1.0f, part.sum);
     found.mass += part.mass;
   }
   return found;

@@ -91,7 +91,7 @@ extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) train_layer(con
   }
 }
 
-// Matrices for the way forwards, [columns, inner] from [inner, columns], and their biases. grid (x, matrices), block 256
+// Transposed matrices for the forward pass, [columns, inner] from [inner, columns], and their biases. grid (x, matrices), block 256
 struct Transposed { int first, inner, columns; };
 extern "C" __global__ void __launch_bounds__(256) train_transpose(const Transposed* __restrict__ matrices, const float* __restrict__ w, float* __restrict__ transposed) {
   const Transposed matrix = matrices[blockIdx.y];

@@ -182,12 +182,8 @@ __device__ __forceinline__ float4 gathered_quad(const Stencil& own, const float*
   for (int row = 0; row < STENCIL_ROWS; row++)
 #pragma unroll
     for (int column = 0; column < 3; column++) {
-      const float4 value = *(const float4*)(field + (size_t)(own.rows[row] + column) * width + 4 * quad);
       const float weight = own.weights[0][column] * row_weight(own.weights, row);
-      sum.x = fmaf(weight, value.x, sum.x);
-      sum.y = fmaf(weight, value.y, sum.y);
-      sum.z = fmaf(weight, value.z, sum.z);
-      sum.w = fmaf(weight, value.w, sum.w);
+      add_scaled(sum, weight, *(const float4*)(field + (size_t)(own.rows[row] + column) * width + 4 * quad));
     }
   return sum;
 }

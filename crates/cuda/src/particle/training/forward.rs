@@ -14,7 +14,7 @@ const CELL_THREADS: usize = 1024;
 const TRANSPOSING: usize = 16;
 
 impl Training {
-    /// The matrices for the way forwards.
+    /// Transposes the matrices for the forward pass.
     pub(super) fn transpose(&self) -> Result<()> {
         self.launch(
             Kernel::TrainTranspose,

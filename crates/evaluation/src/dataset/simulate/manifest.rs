@@ -286,7 +286,7 @@ impl ScenesBeside {
         match self.of(bag, stream) {
             Ok(scene) => scene.map(|scene| scene.materials.stiffness),
             Err(error) => {
-                // Networks that are told the stiffness say what they miss.
+                // A network that needs the stiffness reports that it is missing.
                 tracing::debug!("{error}: the stiffness of its scenes is not known");
                 self.0.insert(bag.parent()?.to_owned(), BTreeMap::new());
                 None
