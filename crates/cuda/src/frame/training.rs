@@ -128,7 +128,11 @@ impl Training {
             let setting = format!("loss.density_grid = {}", settings.density_nodes);
             return Err(CudaError::Unsupported { setting, expected: "at most 110" });
         }
-        let Settings { batch, warm_up, unroll, .. } = *settings;
+        let Settings { batch, warm_up, unroll, truncation, .. } = *settings;
+        if truncation > 0 {
+            let setting = format!("truncation = {truncation} for the frame model");
+            return Err(CudaError::Unsupported { setting, expected: "0" });
+        }
         // Blocks of grids along y, and of the encoder's along z.
         let along_z = warm_up * constants.encoder.div_ceil(256);
         for (setting, found) in [

@@ -142,9 +142,16 @@ impl Training {
         Shape { shared, ..Shape::new(blocks, sheets, self.constants.warps * WARP) }
     }
 
+    /// No gradient goes on to the frame before.
+    fn cut(&self) -> Result<()> {
+        let mut carried = self.memory.carried.iter();
+        carried.try_for_each(|gradient| self.device.clear(Queue::Main, gradient))
+    }
+
     /// Puts a whole step into the queue.
     fn step(&self) -> Result<()> {
-        let Settings { batch, warm_up, noise: [positions, velocities], .. } = self.settings;
+        let Settings { batch, warm_up, truncation, noise: [positions, velocities], .. } =
+            self.settings;
         self.transpose()?;
         let shape = Self::over(self.store.most(), plan::PARTICLE_THREADS, warm_up * batch);
         let arguments = [self.plan(), positions.into(), velocities.into()];
@@ -153,13 +160,16 @@ impl Training {
             std::iter::once((0, warm_up)).chain((warm_up..self.frames()).map(|t| (t, 1))).collect();
         segments.iter().try_for_each(|&(first, frames)| self.forward(first, frames))?;
         self.loss()?;
-        for carried in &self.memory.carried {
-            self.device.clear(Queue::Main, carried)?;
-        }
+        self.cut()?;
         // The gradients by weights run beside the backward pass, which leaves multiprocessors idle.
         let mut end = self.outers.splits;
         for &(first, frames) in segments.iter().rev() {
             self.backward(first, frames)?;
+            // The first of them has the last of so many free frames.
+            let free = (first + 1).saturating_sub(warm_up);
+            if first >= warm_up && truncation > 0 && free.is_multiple_of(truncation) {
+                self.cut()?;
+            }
             let begun = self.outers.shares_from(first, self.frames());
             if begun < end {
                 self.device.wait(Queue::Side, Queue::Main)?;

@@ -11,6 +11,8 @@ pub struct Settings {
     pub warm_up: usize,
     /// K, frames predicted freely after them.
     pub unroll: usize,
+    /// Free frames after which gradients through time are cut; 0 never cuts. Of the particle model only.
+    pub truncation: usize,
     /// Whether the loss is the root of each window's sum.
     pub relative: bool,
     /// Weight of the predictions made during the warm-up.
@@ -38,6 +40,7 @@ impl Settings {
             batch,
             warm_up,
             unroll: 1,
+            truncation: 0,
             relative: false,
             observed_weight: 1.0,
             density_weight: 0.0,

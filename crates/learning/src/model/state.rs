@@ -16,6 +16,13 @@ pub(crate) struct ParticleState {
     pub(crate) velocity: Tensor<2>,
 }
 
+impl ParticleState {
+    /// The same values, through which no gradient passes.
+    pub(crate) fn detached(self) -> Self {
+        Self { position: self.position.detach(), velocity: self.velocity.detach() }
+    }
+}
+
 /// Inputs that do not change from frame to frame.
 #[derive(Clone, Debug)]
 pub(crate) struct StaticInputs {
@@ -116,4 +123,18 @@ pub(crate) struct RecurrentState {
     pub(crate) layers: Vec<LayerState>,
     /// Particle model: the velocities that the ballistic step expects in the coming frame, `[R, 2]`.
     pub(crate) expected_velocity: Option<Tensor<2>>,
+}
+
+impl RecurrentState {
+    /// The same values, through which no gradient passes.
+    pub(crate) fn detached(self) -> Self {
+        let layer = |LayerState { hidden, cell }: LayerState| LayerState {
+            hidden: hidden.detach(),
+            cell: cell.map(Tensor::detach),
+        };
+        Self {
+            layers: self.layers.into_iter().map(layer).collect(),
+            expected_velocity: self.expected_velocity.map(Tensor::detach),
+        }
+    }
 }

@@ -30,6 +30,10 @@ pub struct TrainConfig {
     pub gravity: [f32; 2],
     /// Number of freely predicted frames per window, by stages of the run: later stages unroll further.
     pub unroll: Vec<UnrollStage>,
+    /// Free frames after which gradients through time are cut (truncated backpropagation through time), so that training on long
+    /// rollouts stays stable; 0 never cuts.
+    #[serde(default)]
+    pub truncation: usize,
     /// Layers of the network.
     pub network: NetworkConfig,
     /// Training windows.
@@ -285,6 +289,7 @@ impl TrainConfig {
             patience: 40,
             gravity: [0.0, -9.8],
             unroll: vec![stage(0.4, 2), stage(0.3, 6), stage(0.25, 14), stage(0.05, 24)],
+            truncation: 0,
             network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(16, 24) },
             windows: WindowConfig {
                 warm_up: 3,
@@ -371,6 +376,7 @@ impl TrainConfig {
             patience: 8,
             gravity: [0.0, -9.8],
             unroll: vec![stage(0.25, 1), stage(0.15, 5), stage(0.6, 20)],
+            truncation: 0,
             network,
             windows: WindowConfig {
                 warm_up: 2,
@@ -405,7 +411,7 @@ impl TrainConfig {
     /// Whether the network can be trained on an NVIDIA GPU.
     pub fn runs_on_gpus(&self) -> bool {
         match self.architecture {
-            Architecture::Frame => true,
+            Architecture::Frame => self.truncation == 0,
             Architecture::Particle => {
                 self.loss.density_weight == 0.0 && self.network.dropout == 0.0
             }

@@ -120,7 +120,7 @@ impl Golden {
     /// The loss of the network on the golden windows.
     fn loss(&self, network: &Network, device: &Device) -> Tensor<1> {
         let batch = self.batch(self.config.windows.warm_up, device);
-        let (predicted, steps) = loss::unroll(network, &batch, &mut Dropout::none());
+        let (predicted, steps) = loss::unroll(network, &batch, 0, &mut Dropout::none());
         loss::loss(&self.config.loss, &batch, &predicted, &steps, self.description.domain)
     }
 
@@ -232,7 +232,7 @@ fn every_network_predicts_the_same_as_pytorch() {
         golden.compare_track("forward", forward, kind);
 
         let batch = golden.batch(golden.config.windows.warm_up, &device);
-        let (future, _) = loss::unroll(&network, &batch, none);
+        let (future, _) = loss::unroll(&network, &batch, 0, none);
         golden.compare_track("unroll", future, kind);
     });
 }

@@ -74,7 +74,7 @@ impl GradientTask<'_> {
         let Self { config, description, scale, .. } = self;
         let warm_up = config.windows.warm_up;
         let batch = Batch::new(windows, warm_up, scale, description, &self.device.device());
-        let (predicted, steps) = loss::unroll(&network, &batch, dropout);
+        let (predicted, steps) = loss::unroll(&network, &batch, config.truncation, dropout);
         let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
         let value = loss.clone().inner().into_scalar();
         let mut gradients = network.layers().gradients(&mut loss.backward());

@@ -13,11 +13,13 @@ use eddy_frames::Domain;
 /// Added to squared errors to keep the derivative of the square root finite.
 const EPSILON: f32 = 1e-8;
 
-/// The network observes the warm-up and predicts the rest from its own output. Returns the predicted future and the one-step
-/// predictions during the warm-up, of which the last is the first frame of the future.
+/// The network observes the warm-up and predicts the rest from its own output, with gradients cut every `truncation` frames if
+/// that is not 0. Returns the predicted future and the one-step predictions during the warm-up, of which the last is the first
+/// frame of the future.
 pub(super) fn unroll(
     network: &Network,
     batch: &Batch,
+    truncation: usize,
     dropout: &mut Dropout,
 ) -> (TrajectoryBatch, TrajectoryBatch) {
     let [warm_up, _, _] = batch.observed.position.dims();
@@ -26,7 +28,11 @@ pub(super) fn unroll(
         network.observe(&batch.observed, &batch.fixed, RecurrentState::default(), dropout);
     let mut future = vec![steps.at(warm_up - 1)];
     while future.len() < frames {
-        let (next, after) = network.step(&future[future.len() - 1], &batch.fixed, hidden, dropout);
+        let mut last = future[future.len() - 1].clone();
+        if truncation > 0 && future.len().is_multiple_of(truncation) {
+            (last, hidden) = (last.detached(), hidden.detached());
+        }
+        let (next, after) = network.step(&last, &batch.fixed, hidden, dropout);
         hidden = after;
         future.push(next);
     }

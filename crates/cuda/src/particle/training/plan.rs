@@ -125,7 +125,7 @@ pub(super) struct Memory {
     pub(super) device_plan: Buffer,
     /// Most nodes of a window, by level.
     pub(super) nodes: [usize; MAX_LEVELS],
-    /// Gradients that go from a frame to the one before, zero after the last frame.
+    /// Gradients that go from a frame to the one before, zero after the last frame and where they are cut.
     pub(super) carried: Vec<Buffer>,
     _lists: Vec<Buffer>,
 }
@@ -203,6 +203,7 @@ impl Memory {
             network.layers * carried_rows * units,
             if is_lstm { network.layers * carried_rows * units } else { 0 },
             carried_rows * AXES,
+            carried_rows * BODY,
         ];
         let carried: Vec<Buffer> =
             carried.into_iter().map(|count| device.allocate(4 * count)).collect::<Result<_>>()?;
@@ -253,7 +254,7 @@ impl Memory {
             arrivals: lists.next(together * most)?,
             unsorted: lists.next(together * most)?,
             by_inputs: lists.next(together * most * network.context_rows())?,
-            by_state: lists.next(carried_rows * BODY)?,
+            by_state: at(&carried[3]),
             by_output: at(&carried[0]),
             by_cell: at(&carried[1]),
             by_expected: at(&carried[2]),

@@ -19,6 +19,7 @@ pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: u
         batch: config.windows.batch / devices,
         warm_up: config.windows.warm_up,
         unroll,
+        truncation: config.truncation,
         relative: config.loss.kind == LossKind::Relative,
         observed_weight: config.loss.observed_weight,
         density_weight: config.loss.density_weight,
