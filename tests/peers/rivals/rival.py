@@ -156,15 +156,19 @@ def predict(options):
     for entry in streams:
         frames = frames_of(entry["bag"], entry["stream"], store)
         with PredictionBag(options.output / str(entry["stream"]), options.name, store) as bag:
+            first = frames[entry["sequences"][0]]
+            unit = Unit(numpy.asarray(first.lower), numpy.asarray(first.upper), first.dt)
+            windows = []
             for sequence in entry["sequences"]:
-                frame = frames[sequence]
-                unit = Unit(numpy.asarray(frame.lower), numpy.asarray(frame.upper), frame.dt)
                 observed = [frames[s] for s in range(max(sequence - model.history + 1, 0), sequence + 1) if s in frames]
-                with autocast():
-                    ahead = model.rollout(before(window_of(observed, unit), model.history), horizon)
-                    for number, (position, velocity) in enumerate(ahead, 1):
-                        values = (values[0].float().cpu().numpy() for values in (position, velocity))
-                        bag.add(frame, number, *unit.restored(*values))
+                windows.append(before(window_of(observed, unit), model.history))
+            # All starts of a stream at once, [B, N, 2] a frame.
+            window = Window(*(torch.cat([getattr(one, field) for one in windows]) for field in ("position", "velocity", "material")))
+            with autocast():
+                ahead = [[values.float().cpu().numpy() for values in frame] for frame in model.rollout(window, horizon)]
+            for row, sequence in enumerate(entry["sequences"]):
+                for number, (position, velocity) in enumerate(ahead, 1):
+                    bag.add(frames[sequence], number, *unit.restored(position[row], velocity[row]))
         print(f"stream {entry['stream']}: {len(entry['sequences'])} rollouts", file=sys.stderr, flush=True)
 
 
