@@ -1,8 +1,8 @@
 """The particle model in PyTorch, with eddy's tensor names: one hidden state per particle,
 and a grid through which particles see their surroundings.
 
-Letters in shapes are defined in `torch_core`; F: features, C0, C1, C2: channels of the grid's levels, I x J:
-nodes. The grid is dense here: masks keep nodes that no particle touches at zero.
+Letters in shapes are defined in `torch_core`; F: features, C0, C1, ..: channels of the grid's levels, I x J: nodes of the
+finest. The grid is dense here: masks keep nodes that no particle touches at zero.
 """
 
 from typing import Any
@@ -25,6 +25,8 @@ RANGE, MOST, FEWEST, FLATTEST = 2.1, 12, 3, 0.05
 SHAPE_SCALE, SHAPE_LARGEST = (10.0, 10.0, 10.0, 60.0, 60.0), 4.0
 # Velocity, velocity residual, wall impulse; four walls at two scales; shape; material.
 FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
+# The stiffness that is the feature 0, the decades that are 1, and the limit of the feature.
+MIDDLE_STIFFNESS, STIFFNESS_DECADES, MAX_STIFFNESS_FEATURE = 1e4, 1.5, 1.5
 
 # Keeps a node's averages finite; mass of a node inside a body.
 LEAST_MASS, FULL = 1e-3, 16.0
@@ -41,7 +43,7 @@ STRAIN, RESTORED = 0.03, 5
 # Rule `rest`: speeds of a body's fastest cell below which it rests and above which it moves freely (units: velocity
 # that gravity adds per frame).
 ASLEEP, AWAKE = 0.25, 1.0
-# Nodes outside the domain's corner: with four, the coarsest level also starts at a node.
+# Nodes outside the domain's corner, at least those that splines reach.
 MARGIN = 4
 
 
@@ -143,15 +145,21 @@ class ParticleModel(nn.Module):
         width, hidden, channels = sizes["encoder"], sizes["hidden"], surroundings["channels"]
         self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
 
-        c0, c1, c2 = channels
-        self.encoder = nn.ModuleList([nn.Linear(FEATURES, width), nn.Linear(width, c0)])
-        fine = {"a": Around(c0 + NODE_FEATURES, c0), "b": Around(c0, c0), "up": Up(c1, c0), "c": Around(c0, c0)}
-        middle = {"down": Down(c0, c1), "a": Around(c1, c1), "up": Up(c2, c1), "b": Around(c1, c1)}
-        coarse = {"down": Down(c1, c2), "a": Around(c2, c2), "b": Around(c2, c2)}
-        self.grid = nn.ModuleDict(
-            {str(level): nn.ModuleDict(layers) for level, layers in enumerate((fine, middle, coarse))}
-        )
-        self.context = nn.Linear(FEATURES + c0, hidden)
+        self.is_told_stiffness = description.get("stiffness", False)
+        features, c0 = FEATURES + self.is_told_stiffness, channels[0]
+        self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, c0)])
+        levels = []
+        for level, own in enumerate(channels):
+            if level == 0:
+                layers = {"a": Around(c0 + NODE_FEATURES, c0), "b": Around(c0, c0)}
+            else:
+                layers = {"down": Down(channels[level - 1], own), "a": Around(own, own)}
+            if level + 1 < len(channels):
+                layers["up"] = Up(channels[level + 1], own)
+            layers["b" if level > 0 else "c"] = Around(own, own)
+            levels.append(nn.ModuleDict(layers))
+        self.grid = nn.ModuleDict({str(level): layers for level, layers in enumerate(levels)})
+        self.context = nn.Linear(features + c0, hidden)
         self.core = core(description, hidden)
         self.mixer = nn.Linear(hidden, hidden)
         self.decoder = nn.Linear(hidden, 4)
@@ -160,7 +168,9 @@ class ParticleModel(nn.Module):
         margin = VELOCITY_MARGIN * (scale["maximum"] - scale["minimum"])[2:]
         corner, end = (torch.tensor(description["domain"][side]) for side in ("lower", "upper"))
         ends = (torch.ceil((end - corner) / self.cell) + 2).int().tolist()
-        x, y = (torch.arange(-MARGIN, end + -end % MARGIN) for end in ends)
+        # So that the coarsest level also starts at a node.
+        self.margin = max(MARGIN, 2 ** (len(channels) - 1))
+        x, y = (torch.arange(-self.margin, end + -end % self.margin) for end in ends)
         constants = {
             "gravity": torch.tensor(description["gravity"]),
             "unit": scale["standard_deviation"][2:].square().mean().sqrt(),
@@ -177,10 +187,17 @@ class ParticleModel(nn.Module):
         for name, tensor in constants.items():
             self.register_buffer(name, tensor, persistent=False)
 
-    def matter(self, material: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-        """Static inputs: materials [B, N] as features [B, N, 4], and `rest_shape` of the rest
-        positions [B, N, 2], which are those of a stream's first frame."""
-        return one_hot(material, len(MATERIALS)).to(self.unit), rest_shape(rest, material, self.spacing).to(self.unit)
+    def matter(self, material: Tensor, rest: Tensor, stiffness: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Static inputs: materials [B, N] as features [B, N, 4], with the stiffness [B] behind them, [B, N, 5], if the network
+        is told it; and `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame."""
+        if (stiffness is not None) != self.is_told_stiffness:
+            raise ValueError(f"found stiffness {stiffness}, expected {'one for each window' if self.is_told_stiffness else 'none'}")
+        features = one_hot(material, len(MATERIALS)).to(self.unit)
+        if stiffness is not None:
+            feature = torch.log10(stiffness.to(self.unit) / MIDDLE_STIFFNESS) / STIFFNESS_DECADES
+            feature = feature.clamp(-MAX_STIFFNESS_FEATURE, MAX_STIFFNESS_FEATURE)
+            features = torch.cat([features, feature[:, None, None].expand(-1, material.shape[1], 1)], -1)
+        return features, rest_shape(rest, material, self.spacing).to(self.unit)
 
     def forward(
         self, bodies: Bodies, matter: tuple[Tensor, Tensor], state: tuple[State, Tensor] | None = None
@@ -238,22 +255,21 @@ class ParticleModel(nn.Module):
         written = torch.einsum("bnj,bni,bnc->bcji", up, across, encoded) / (mass + LEAST_MASS)
         walls = self.node_walls().expand(len(mass), -1, -1, -1)
 
-        there = [(mass > 0).to(mass)]  # at each level
-        for _ in range(2):
+        levels, there = list(self.grid.values()), [(mass > 0).to(mass)]
+        while len(there) < len(levels):
             there.append(max_pool2d(there[-1], 2))
-        fine, middle, coarse = self.grid.values()
-        held_0 = there[0] * torch.cat([written, mass / FULL, walls], 1)  # [B, C0 + 5, J, I]
-        held_0 = there[0] * relu(fine["a"](held_0))
-        held_0 = there[0] * relu(fine["b"](held_0))
-        held_1 = there[1] * relu(middle["down"](held_0))  # [B, C1, J / 2, I / 2]
-        held_1 = there[1] * relu(middle["a"](held_1))
-        held_2 = there[2] * relu(coarse["down"](held_1))  # [B, C2, J / 4, I / 4]
-        held_2 = there[2] * relu(coarse["a"](held_2))
-        held_2 = there[2] * relu(coarse["b"](held_2))
-        held_1 = there[1] * relu(middle["up"](held_2) + held_1)
-        held_1 = there[1] * relu(middle["b"](held_1))
-        held_0 = there[0] * relu(fine["up"](held_1) + held_0)
-        return torch.einsum("bnj,bni,bcji->bnc", up, across, fine["c"](held_0))
+        held = there[0] * torch.cat([written, mass / FULL, walls], 1)  # [B, C0 + 5, J, I]
+        held = there[0] * relu(levels[0]["a"](held))
+        skipped = [there[0] * relu(levels[0]["b"](held))]
+        for layers, mask in zip(levels[1:], there[1:]):
+            held = mask * relu(layers["down"](skipped[-1]))  # [B, C1, J / 2, I / 2] and so on
+            skipped.append(mask * relu(layers["a"](held)))
+        held = there[-1] * relu(levels[-1]["b"](skipped[-1]))
+        for level in reversed(range(len(levels) - 1)):
+            held = there[level] * relu(levels[level]["up"](held) + skipped[level])
+            if level > 0:
+                held = there[level] * relu(levels[level]["b"](held))
+        return torch.einsum("bnj,bni,bcji->bnc", up, across, levels[0]["c"](held))
 
     def node_walls(self) -> Tensor:
         """Proximity of the left, lower, right and upper wall at each node, [4, J, I]."""
@@ -370,7 +386,7 @@ class ParticleModel(nn.Module):
 
     def body(self, position: Tensor) -> Tensor:
         """The index of the body that each particle belongs to, [N]; a body is a connected group of nodes."""
-        place = torch.floor((position - self.corner) / self.cell - 0.5).long() + MARGIN
+        place = torch.floor((position - self.corner) / self.cell - 0.5).long() + self.margin
         there = torch.zeros(1, len(self.node_y), len(self.node_x))
         for across in range(3):
             for up in range(3):

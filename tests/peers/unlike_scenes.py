@@ -1,13 +1,14 @@
 """Scenes unlike those that the shipped checkpoint has learned from, as scene files of `eddy simulate --scene`.
 
-    unlike_scenes.py OUTPUT --eddy EDDY [--seed 1]
+    unlike_scenes.py OUTPUT --eddy EDDY [--seed 1] [--kinds-seed 1001]
 
-Writes three folders to OUTPUT:
+Writes three folders to OUTPUT, which must not exist. No scene has the attractor that half of the scenes of `kinds` have:
 
 - three_materials: ten scenes with a disc each of three of the four materials, in all 1,100 to 2,100 particles (`kinds`: one or two
   materials, 2,500 particles);
 - dam_break: five columns of liquid, at rest first, that fill a third of the domain, some 4,450 particles;
-- fast: the bodies of fifteen scenes of `kinds` at 3 to 5 domain lengths per second (`kinds`: up to 1.5 along each axis).
+- fast: the bodies of fifteen scenes of `kinds`, of another seed than that of the training, at 3 to 5 domain lengths per second
+  (`kinds`: up to 1.5 along each axis).
 """
 
 import argparse
@@ -32,7 +33,7 @@ def number(value):
 
 def body(material, shape, position, velocity=(0.0, 0.0), angle=0.0):
     lines = ["[[bodies]]", f'material = "{material}"']
-    (kind, sizes), = shape.items()
+    kind, sizes = next(iter(shape.items()))
     lines += [f"shape.{kind}.{name} = {number(value)}" for name, value in sizes.items()]
     lines += [f"position = {number(list(position))}", f"velocity = {number(list(velocity))}", f"angle_degrees = {number(angle)}"]
     return "\n".join(lines)
@@ -54,8 +55,9 @@ def three_materials(generator):
         centre = [generator.uniform(margin, 1 - margin) for _ in range(2)]
         if all(math.dist(centre, other) > radius + reach + 3 * SPACING for other, reach in discs):
             discs.append((centre, radius))
-    speed = lambda: [generator.uniform(-1.5, 1.5) for _ in range(2)]
-    return [body(kind, {"disc": {"radius": radius}}, centre, speed()) for kind, (centre, radius) in zip(kinds, discs)]
+    velocities = [[generator.uniform(-1.5, 1.5) for _ in range(2)] for _ in discs]
+    bodies = zip(kinds, discs, velocities)
+    return [body(kind, {"disc": {"radius": radius}}, centre, velocity) for kind, (centre, radius), velocity in bodies]
 
 
 def dam_break(generator):
@@ -85,12 +87,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("--eddy", type=Path, required=True, help="the program")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1, help="of what is drawn here")
+    parser.add_argument("--kinds-seed", type=int, default=1001, help="of the scenes of kinds")
     options = parser.parse_args()
+    if options.output.exists():
+        parser.error(f"{options.output}: found a file or folder, expected none")
     generator = random.Random(options.seed)
     write(options.output / "three_materials", (three_materials(generator) for _ in range(10)))
     write(options.output / "dam_break", (dam_break(generator) for _ in range(5)))
-    write(options.output / "fast", fast(options.eddy, options.seed, generator))
+    write(options.output / "fast", fast(options.eddy, options.kinds_seed, generator))
 
 
 if __name__ == "__main__":

@@ -153,17 +153,18 @@ def predict(options):
     evaluate = [options.eddy, "--quiet", "eval", "--checkpoint", shipped, "--data", options.data, "--horizon", options.horizon]
     streams, horizon = starts([*evaluate, "--starts", options.starts])
     options.output.mkdir(parents=True)
-    for entry in streams:
+    for entry in (entry for entry in streams if entry["sequences"]):
         frames = frames_of(entry["bag"], entry["stream"], store)
         with PredictionBag(options.output / str(entry["stream"]), options.name, store) as bag:
-            first = frames[entry["sequences"][0]]
+            first = next(iter(frames.values()))
             unit = Unit(numpy.asarray(first.lower), numpy.asarray(first.upper), first.dt)
             windows = []
             for sequence in entry["sequences"]:
                 observed = [frames[s] for s in range(max(sequence - model.history + 1, 0), sequence + 1) if s in frames]
                 windows.append(before(window_of(observed, unit), model.history))
             # All starts of a stream at once, [B, N, 2] a frame.
-            window = Window(*(torch.cat([getattr(one, field) for one in windows]) for field in ("position", "velocity", "material")))
+            fields = zip(*((one.position, one.velocity, one.material) for one in windows))
+            window = Window(*(torch.cat(field) for field in fields))
             with autocast():
                 ahead = [[values.float().cpu().numpy() for values in frame] for frame in model.rollout(window, horizon)]
             for row, sequence in enumerate(entry["sequences"]):
@@ -212,7 +213,7 @@ def main():
     parser.add_argument("--eddy", type=Path, help="the program")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--horizon", type=int, default=100)
-    parser.add_argument("--starts", type=int, default=7)
+    parser.add_argument("--starts", type=int, default=7, help="of a stream, which are rolled out together")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     if options.command == "predict" and not (options.eddy and options.output):

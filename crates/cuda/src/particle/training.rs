@@ -165,9 +165,9 @@ impl Training {
         let mut end = self.outers.splits;
         for &(first, frames) in segments.iter().rev() {
             self.backward(first, frames)?;
-            // The first of them has the last of so many free frames.
+            // The number of the free frame that they go on from, 0 if it was observed; `loss::unroll` cuts there on the CPU.
             let free = (first + 1).saturating_sub(warm_up);
-            if first >= warm_up && truncation > 0 && free.is_multiple_of(truncation) {
+            if first >= warm_up && free.is_multiple_of(truncation) {
                 self.cut()?;
             }
             let begun = self.outers.shares_from(first, self.frames());

@@ -18,7 +18,7 @@ pub(crate) struct ParticleState {
 
 impl ParticleState {
     /// The same values, through which no gradient passes.
-    pub(crate) fn detached(self) -> Self {
+    pub(crate) fn without_gradient(self) -> Self {
         Self { position: self.position.detach(), velocity: self.velocity.detach() }
     }
 }
@@ -127,7 +127,7 @@ pub(crate) struct RecurrentState {
 
 impl RecurrentState {
     /// The same values, through which no gradient passes.
-    pub(crate) fn detached(self) -> Self {
+    pub(crate) fn without_gradient(self) -> Self {
         let layer = |LayerState { hidden, cell }: LayerState| LayerState {
             hidden: hidden.detach(),
             cell: cell.map(Tensor::detach),

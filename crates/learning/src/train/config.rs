@@ -31,7 +31,7 @@ pub struct TrainConfig {
     /// Number of freely predicted frames per window, by stages of the run: later stages unroll further.
     pub unroll: Vec<UnrollStage>,
     /// Free frames after which gradients through time are cut (truncated backpropagation through time), so that training on long
-    /// rollouts stays stable; 0 never cuts.
+    /// rollouts stays stable; 0 never cuts. On CUDA for the particle model only.
     #[serde(default)]
     pub truncation: usize,
     /// Layers of the network.

@@ -16,7 +16,7 @@ use super::{
 use crate::model::{DeviceKind, network::Network};
 use eddy_cuda::{
     device::Device,
-    frame::{Place, Training},
+    frame::{self, Place, Training},
     kernels::Constants,
     training::InTraining as _,
 };
@@ -367,4 +367,16 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     for (name, expected) in expected {
         assert!(relative_error(&found[&name].values, &expected.values) < 5e-5, "{name}");
     }
+}
+
+#[test]
+fn gpus_do_not_cut_gradients_of_the_frame_model() {
+    let mut config = config(Core::MinGru);
+    assert!(config.runs_on_gpus());
+    config.truncation = 2;
+    assert!(!config.runs_on_gpus());
+    let settings = [cuda::settings(&config, 3, 1)];
+    let bytes = frame::footprint::bytes(&description(&config), &settings, 10, Place::Device);
+    let refused = bytes.unwrap_err().to_string();
+    assert!(refused.contains("truncation = 2 for the frame model"), "{refused}");
 }

@@ -29,8 +29,8 @@ pub(super) fn unroll(
     let mut future = vec![steps.at(warm_up - 1)];
     while future.len() < frames {
         let mut last = future[future.len() - 1].clone();
-        if truncation > 0 && future.len().is_multiple_of(truncation) {
-            (last, hidden) = (last.detached(), hidden.detached());
+        if future.len().is_multiple_of(truncation) {
+            (last, hidden) = (last.without_gradient(), hidden.without_gradient());
         }
         let (next, after) = network.step(&last, &batch.fixed, hidden, dropout);
         hidden = after;

@@ -184,7 +184,8 @@ impl BurnSteps {
     fn gradients(&self) -> (f32, Gradients) {
         let loss = match &self.task {
             Task::Frame { batch, loss, domain } => {
-                let (predicted, steps) = loss::unroll(&self.network, batch, 0, &mut Dropout::none());
+                let (predicted, steps) =
+                    loss::unroll(&self.network, batch, 0, &mut Dropout::none());
                 loss::loss(loss, batch, &predicted, &steps, *domain)
             }
             Task::Core(encodings) => {
