@@ -8,7 +8,7 @@ use eddy_node::launch::Plan;
 use eddy_settings as config;
 
 use crate::{
-    support::{Process, talking_eddy, unique},
+    support::{Process, succeed, talking_eddy, unique},
     train::{stream, write_bag},
 };
 
@@ -35,9 +35,9 @@ files! {
     the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => |name| {
         train(name, "frame min");
     },
-    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => |name| {
-        train(name, "particle min");
-    },
+    long_rollouts_are_trained_with_their_settings: "train_soft.toml" => train_particles,
+    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => train_particles,
+    any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => train_particles,
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
     replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
@@ -84,14 +84,30 @@ fn study(name: &str) {
     assert!(!study.wait().success());
 }
 
-/// Trains until it says which network: to the end it would take days.
+/// Begins a training on a small bag.
 fn train(name: &str, network: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let (bag, output) = (folder.path().join("bag"), folder.path().join("model"));
+    let bag = folder.path().join("bag");
     write_bag(&bag, &(0..6).map(stream).collect::<Vec<_>>());
+    begin_training(name, &bag, network);
+}
+
+/// Begins a training on small scenes of 75 frames, more than those of its longest windows, each with a stiffness.
+fn train_particles(name: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let bags = folder.path().join("bags");
+    let scenes = ["simulate", "--preset", "kinds", "--particles", "250", "--scenes", "5"];
+    let more = ["--duration", "1.2", "--stiffness", "300..3e3", "--output", bags.to_str().unwrap()];
+    succeed([&scenes[..], &more].concat());
+    begin_training(name, &bags, "particle min");
+}
+
+/// Trains until it says which network: to the end it would take days.
+fn begin_training(name: &str, data: &Path, network: &str) {
+    let folder = tempfile::tempdir().unwrap();
     let mut command = talking_eddy();
-    command.args(["train", "--config", &file(name), "--data", bag.to_str().unwrap()]);
-    command.args(["--output", output.to_str().unwrap()]);
+    command.args(["train", "--config", &file(name), "--data", data.to_str().unwrap()]);
+    command.args(["--output", folder.path().join("model").to_str().unwrap()]);
     let mut training = Process::start_until(&mut command, network);
     training.interrupt();
     training.wait();

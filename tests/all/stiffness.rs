@@ -10,6 +10,9 @@ use crate::support::{fail, succeed};
 
 const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru");
 
+const CONDITIONED: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru-conditioned");
+
 /// Small scenes, each with a stiffness of its own, and a network that is trained on them and told the stiffness.
 struct World {
     folder: TempDir,
@@ -52,6 +55,10 @@ impl World {
     /// The skill of the network in an evaluation.
     fn skill(&self, more: &[&str]) -> Value {
         succeed(self.eval(&self.path("model"), more));
+        self.skill_of_report()
+    }
+
+    fn skill_of_report(&self) -> Value {
         let text = fs::read_to_string(self.path("report/report.json")).unwrap();
         let report: Value = serde_json::from_str(&text).unwrap();
         report["predictors"][0]["skill"].clone()
@@ -132,6 +139,15 @@ fn a_network_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
     let expected = "stiffness: found nothing, expected Young's modulus of the stream";
     let message = fail(1, ["node", "--checkpoint", &model, "--input", "shm:/told/particles"]);
     assert!(message.contains(expected), "{message}");
+}
+
+#[test]
+fn the_shipped_network_for_any_stiffness_is_better_than_trivial_predictors() {
+    let world = World { folder: tempfile::tempdir().unwrap() };
+    world.simulate("unseen", "2", "10");
+    succeed(world.eval(CONDITIONED, &[]));
+    let skill = world.skill_of_report();
+    assert!(skill[2].as_f64().unwrap() > 0.5, "{skill}");
 }
 
 #[test]
