@@ -165,9 +165,8 @@ impl Training {
         let mut end = self.outers.splits;
         for &(first, frames) in segments.iter().rev() {
             self.backward(first, frames)?;
-            // The number of the free frame that they go on from, 0 if it was observed; `loss::unroll` cuts there on the CPU.
-            let free = (first + 1).saturating_sub(warm_up);
-            if first >= warm_up && free.is_multiple_of(truncation) {
+            // A predicted frame follows free frame `first + 1 - warm_up`, where `loss::unroll` cuts on the CPU.
+            if first >= warm_up && (first + 1 - warm_up).is_multiple_of(truncation) {
                 self.cut()?;
             }
             let begun = self.outers.shares_from(first, self.frames());
