@@ -35,7 +35,9 @@ class Interaction(nn.Module):
         self.edge, self.node = mlp(3 * LATENT, LATENT), mlp(2 * LATENT, LATENT)
 
     def forward(self, nodes: Tensor, edges: Tensor, senders: Tensor, receivers: Tensor) -> tuple[Tensor, Tensor]:
-        messages = self.edge(torch.cat((edges, nodes[senders], nodes[receivers]), -1))
+        # The gradient of indexing with brackets sorts the indices first.
+        ends = [nodes.index_select(0, which) for which in (senders, receivers)]
+        messages = self.edge(torch.cat((edges, *ends), -1))
         received = torch.zeros_like(nodes).index_add_(0, receivers, messages.to(nodes.dtype))
         return nodes + self.node(torch.cat((nodes, received), -1)), edges + messages
 
@@ -62,6 +64,11 @@ class Gns(nn.Module):
         self.decode = mlp(LATENT, 2, is_normalised=False)
         # Mean and standard deviation of velocities and of accelerations, of the training data and the noise.
         self.register_buffer("scale", torch.zeros(4, 2))
+
+    def compile_steps(self) -> None:
+        """Compiles what training spends its time in, for any number of edges."""
+        for interaction in self.interactions:
+            interaction.compile(dynamic=True)
 
     @torch.no_grad()
     def prepare(self, scenes: Scenes) -> None:

@@ -83,6 +83,10 @@ class NeuralMpm(nn.Module):
         walls[1:-1, 1:-1] = 0
         self.register_buffer("walls", walls)
 
+    def compile_steps(self) -> None:
+        """Compiles what training spends its time in."""
+        self.call = torch.compile(self.call)
+
     @torch.no_grad()
     def prepare(self, scenes: Scenes) -> None:
         deviation = scenes.velocity.flatten(0, 2).std(0).mean()

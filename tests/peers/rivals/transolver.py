@@ -72,6 +72,10 @@ class Transolver(nn.Module):
         # Deviation of velocities; mean and deviation of what is added to them in a frame.
         self.register_buffer("scale", torch.ones(3, 2))
 
+    def compile_steps(self) -> None:
+        """Compiles what training spends its time in."""
+        self.step = torch.compile(self.step)
+
     @torch.no_grad()
     def prepare(self, scenes: Scenes) -> None:
         change = scenes.velocity.diff(dim=1).flatten(0, 2)
