@@ -71,7 +71,7 @@ fn a_calibrated_checkpoint_shows_in_evaluations_how_well_its_estimates_hold() {
     let warning = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success(), "{warning}");
     assert!(
-        warning.contains("error_model.toml: calibrated for checkpoint e13699d1e852"),
+        warning.contains("error_model.toml: calibrated for checkpoint 172e8e16434d"),
         "{warning}"
     );
     assert!(!String::from_utf8(output.stdout).unwrap().contains("estimates of the error"));

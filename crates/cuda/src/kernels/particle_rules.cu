@@ -15,12 +15,12 @@ static double bits_double(u64 bits) { double v; std::memcpy(&v, &bits, 8); retur
 
 // Constants of the rules in a checkpoint; `checkpoint/rules.rs` of eddy-inference says what they are.
 struct Rules {
-  float area_width, fill_limit, surface_fill, relaxation, longest_shift, share, beyond; // share: area of a particle in a cell
+  float area_width, fill_limit, surface_fill, relaxation, longest_shift, rate, share, beyond; // share: area of a particle in a cell
   float strain_limit;
   float flight_distance, rest_distance; // domain lengths; negative where the rule is off
   float asleep_below, awake_from;
   float gain;                           // speed gained in a frame of free fall
-  u32 unused[3];
+  u32 unused[2];
 };
 
 __device__ __forceinline__ float clamp_axis(const Stream& s, int axis, float x) {
@@ -86,7 +86,7 @@ __device__ __forceinline__ float2 area_excess(const Stream& s, const Rules& rule
   const float fill = found / open;
   if (!(found > 0.0f) || fill < rules.surface_fill || neighbours == 0) return result;
   result.y = 1.0f / (float)neighbours;
-  if (fill > rules.fill_limit) result.x = (fill - rules.fill_limit) * liquid / found;
+  if (fill > rules.fill_limit) result.x = rules.rate * (fill - rules.fill_limit) * liquid / found;
   return result;
 }
 // A node's pressure after a sweep, from its own, its neighbours' and its excess.

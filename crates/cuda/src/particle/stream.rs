@@ -128,23 +128,24 @@ impl Scales {
             // A particle at a wall fills half a spacing beyond it.
             let beyond = 0.5 / rule.cell_width;
             let width = rule.cell_width * self.spacing;
-            all[..7].copy_from_slice(&[
+            all[..8].copy_from_slice(&[
                 width,
                 rule.fill_limit,
                 rule.surface_fill,
                 rule.relaxation,
                 rule.longest_shift,
+                rule.rate,
                 share,
                 beyond,
             ]);
         }
-        all[7] = shape.map_or(0.0, |rule| rule.strain_limit);
-        all[8] = flight.map_or(-1.0, |rule| rule.wall_distance * self.width);
+        all[8] = shape.map_or(0.0, |rule| rule.strain_limit);
+        all[9] = flight.map_or(-1.0, |rule| rule.wall_distance * self.width);
         if let Some(rule) = rest {
             let distance = rule.wall_distance * self.width;
-            all[9..12].copy_from_slice(&[distance, rule.asleep_below, rule.awake_from]);
+            all[10..13].copy_from_slice(&[distance, rule.asleep_below, rule.awake_from]);
         }
-        all[12] = ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt;
+        all[13] = ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt;
         all
     }
 

@@ -290,7 +290,7 @@ fn golden(version: u32) -> Checkpoint {
 }
 
 #[test]
-fn a_particle_model_of_version_1_has_the_standard_rules() {
+fn a_particle_model_of_version_1_has_all_rules() {
     let area = AreaRule {
         cell_width: 2.0,
         fill_limit: 1.25,
@@ -298,6 +298,7 @@ fn a_particle_model_of_version_1_has_the_standard_rules() {
         sweeps: 20,
         relaxation: 1.7,
         longest_shift: 0.5,
+        rate: 1.0,
     };
     let rules = Rules {
         area: Some(area),
@@ -340,7 +341,7 @@ fn the_digest_changes_with_every_constant_of_a_rule() {
         change(&mut checkpoint.description.rules);
         checkpoint.digest()
     };
-    let changes: [fn(&mut Rules); 15] = [
+    let changes: [fn(&mut Rules); 16] = [
         |_| (),
         |rules| rules.area = None,
         |rules| rules.area.as_mut().unwrap().cell_width = 3.0,
@@ -349,6 +350,7 @@ fn the_digest_changes_with_every_constant_of_a_rule() {
         |rules| rules.area.as_mut().unwrap().sweeps = 10,
         |rules| rules.area.as_mut().unwrap().relaxation = 1.6,
         |rules| rules.area.as_mut().unwrap().longest_shift = 0.25,
+        |rules| rules.area.as_mut().unwrap().rate = 1.0,
         |rules| rules.shape.as_mut().unwrap().strain_limit = 0.02,
         |rules| rules.shape.as_mut().unwrap().sweeps = 4,
         |rules| rules.flight.as_mut().unwrap().wall_distance = 2.0,
@@ -388,6 +390,7 @@ fn constants_of_rules_out_of_range_are_rejected() {
             "longest_shift = inf",
             "area.longest_shift: found inf, expected a positive number",
         ),
+        ("rate = 0.2", "rate = 1.5", "area.rate: found 1.5, expected above 0, at most 1"),
         (
             "strain_limit = 0.03",
             "strain_limit = 1.0",

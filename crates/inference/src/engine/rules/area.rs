@@ -5,7 +5,7 @@
 //! Without it, the errors of a network accumulate until a pool loses a quarter of its area in a second.
 //!
 //! 1. Fill: the density of each node of a grid, 1 inside a body at rest.
-//! 2. Solve: the pressure p with laplacian p = -(fill - limit) times the share of liquid where the fill exceeds the limit;
+//! 2. Solve: the pressure p with laplacian p = -rate (fill - limit) times the share of liquid where the fill exceeds the limit;
 //!    p = 0 at the surface, dp/dn = 0 at walls, p >= 0.
 //! 3. Shift: liquid particles move down the gradient of p, and their velocities change accordingly.
 //!
@@ -51,7 +51,7 @@ pub(super) struct Pressure {
     inside: [Range<usize>; 2],
     /// Fill of each node, by all particles and by liquid, `[rows, columns]`.
     fill: Vec<[f32; 2]>,
-    /// Liquid above the limit of the fill.
+    /// Liquid above the limit of the fill, as much of it as is removed in a frame.
     excess: Vec<f32>,
     /// 1 / number of neighbours between the walls; 0 where the pressure is zero.
     inverse_neighbours: Vec<f32>,
@@ -269,7 +269,7 @@ impl Pressure {
     /// Computes the excess and the number of neighbours of each node. Returns whether there is any excess.
     #[inline(always)]
     fn mark_excess(&mut self) -> bool {
-        let AreaRule { fill_limit, surface_fill, .. } = self.rule;
+        let AreaRule { fill_limit, surface_fill, rate, .. } = self.rule;
         let [columns, rows] = self.inside.clone();
         let mut any = false;
         for j in rows.clone() {
@@ -287,7 +287,7 @@ impl Pressure {
                 self.inverse_neighbours[row + i] = 1.0 / f32::from(neighbours);
                 if fill > fill_limit {
                     // Only liquid moves: snow is compressible, and solids keep their shape.
-                    self.excess[row + i] = (fill - fill_limit) * liquid / found;
+                    self.excess[row + i] = rate * (fill - fill_limit) * liquid / found;
                     any |= self.excess[row + i] > 0.0;
                 }
             }
@@ -419,7 +419,7 @@ mod tests {
     fn a_block_pressed_together_expands_around_its_centre() {
         let frame = block([0.3, 0.3], 0.8 * SPACING, Material::Liquid);
         let (before, at) = (fullest(&frame), centre(&frame));
-        let frame = moved(frame, 10);
+        let frame = moved(frame, 60);
         assert!(before > 1.5 && fullest(&frame) < 1.3, "{before}, {}", fullest(&frame));
         let to = centre(&frame);
         assert!(
@@ -429,10 +429,27 @@ mod tests {
     }
 
     #[test]
+    fn the_rate_is_the_share_of_a_shift_that_a_frame_sees() {
+        // Shifts shorter than the longest.
+        let frame = block([0.3, 0.3], 0.88 * SPACING, Material::Liquid);
+        let shifts = |rate: f32| {
+            let mut pressure = Pressure::new(AreaRule { rate, ..rule() }, SPACING);
+            pressure.solve(&frame.position, &frame.material, &frame.domain, &WALLS);
+            frame.position.iter().map(|place| pressure.shift(*place)).collect::<Vec<_>>()
+        };
+        let (whole, part) = (shifts(1.0), shifts(0.1));
+        let largest = whole.iter().flatten().fold(0.0, |most: f32, way| most.max(way.abs()));
+        assert!(largest > 0.1 * SPACING, "{largest}");
+        for (whole, part) in whole.iter().flatten().zip(part.iter().flatten()) {
+            assert!((0.1 * whole - part).abs() < 1e-4 * largest, "{whole}, {part}");
+        }
+    }
+
+    #[test]
     fn a_pool_pressed_against_floor_and_wall_rises() {
         let frame = block(WALLS.lower, 0.8 * SPACING, Material::Liquid);
         let at = centre(&frame);
-        let frame = moved(frame, 10);
+        let frame = moved(frame, 60);
         assert!(fullest(&frame) < 1.35, "{}", fullest(&frame));
         let to = centre(&frame);
         assert!(to[0] > at[0] && to[1] > at[1], "{at:?} {to:?}");
