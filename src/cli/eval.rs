@@ -83,8 +83,8 @@ fn recorded(text: &str) -> Result<(String, PathBuf), String> {
 /// A reference predictor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ReferenceName {
-    /// The solver restarted from positions and velocities: unchanged, with half the substeps, and with cells twice as
-    /// wide.
+    /// The solver restarted from positions and velocities: unchanged, with half the substeps, and with cells twice and
+    /// four times as wide.
     Mpm,
     /// The solver from positions displaced by up to 1e-4: the limit of predictability.
     Chaos,

@@ -93,6 +93,7 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
         "MPM restarted",
         "MPM restarted, half the substeps",
         "MPM restarted, half the grid",
+        "MPM restarted, a quarter of the grid",
         "truth displaced by 1e-4",
         "truth",
     ];

@@ -18,6 +18,8 @@ pub enum Restart {
     HalfStep,
     /// Cells twice as wide between the same walls, and as many substeps as they need.
     HalfGrid,
+    /// Cells four times as wide, likewise.
+    QuarterGrid,
 }
 
 /// A restarted solver.
@@ -30,7 +32,7 @@ pub struct Restarted {
 
 impl Restart {
     /// All variants.
-    pub const ALL: [Self; 3] = [Self::Full, Self::HalfStep, Self::HalfGrid];
+    pub const ALL: [Self; 4] = [Self::Full, Self::HalfStep, Self::HalfGrid, Self::QuarterGrid];
 
     /// Its name in reports.
     pub fn name(self) -> &'static str {
@@ -38,23 +40,29 @@ impl Restart {
             Self::Full => "MPM restarted",
             Self::HalfStep => "MPM restarted, half the substeps",
             Self::HalfGrid => "MPM restarted, half the grid",
+            Self::QuarterGrid => "MPM restarted, a quarter of the grid",
         }
     }
 
     /// Its grid in `scene`, and the offset from coordinates of frames to those of the grid (domain lengths).
     ///
     /// # Errors
-    /// [`MpmError`] when the scene has no grid, or one that cannot be halved.
+    /// [`MpmError`] when the scene has no grid, or one that cannot be halved, or halved twice.
     pub fn grid(self, scene: &Scene) -> Result<(GridShape, f32), MpmError> {
         let fine = scene.grid()?;
-        match self {
-            Self::Full | Self::HalfStep => Ok((fine, 0.0)),
-            Self::HalfGrid => fine.coarsened().ok_or_else(|| MpmError::Field {
-                field: "domain".into(),
-                found: format!("{:?} cells", fine.cells),
-                expected: "even numbers of cells, to halve the grid".into(),
-            }),
-        }
+        let halvings = match self {
+            Self::Full | Self::HalfStep => 0,
+            Self::HalfGrid => 1,
+            Self::QuarterGrid => 2,
+        };
+        let coarsened = (0..halvings).try_fold((fine, 0.0), |(grid, shift), _| {
+            grid.coarsened().map(|(coarser, further)| (coarser, shift + further))
+        });
+        coarsened.ok_or_else(|| MpmError::Field {
+            field: "domain".into(),
+            found: format!("{:?} cells", fine.cells),
+            expected: format!("numbers of cells divisible by {}", 1 << halvings),
+        })
     }
 
     /// The solver at a state of `scene`, on one thread.
@@ -77,7 +85,7 @@ impl Restart {
         let substeps = match self {
             Self::Full => of_truth(),
             Self::HalfStep => of_truth().div_ceil(2),
-            Self::HalfGrid => least(),
+            Self::HalfGrid | Self::QuarterGrid => least(),
         };
         let settings = SolverSettings {
             grid,
