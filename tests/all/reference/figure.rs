@@ -1,105 +1,146 @@
-//! The README's plot, drawn from the table in `checkpoints/README.md`, which names the commands behind its numbers.
+//! The README's plot, drawn from the table in `docs/src/background/other_simulators.md`, which names the commands behind its
+//! numbers: error against the time of a predicted frame.
 
 use std::{fmt::Write as _, fs};
 
 use super::root;
 
-/// Rows of the table that are drawn as curves: first cell, label, colour, vertical shift of the label (pixels).
-const CURVES: [(&str, &str, &str, f64); 4] = [
-    ("this model, mean of five kinds", "shipped model", "#0072b2", 6.0),
-    ("MPM restarted from the same frames", "MPM restarted", "#d55e00", 0.0),
-    ("MPM on half the grid", "MPM on half the grid", "#e69f00", -4.0),
-    ("truth with initial positions displaced by 1e-4", "truth, displaced by 1e-4", "#777777", 0.0),
+/// Label, colour and rows of the table (first cells), whose points are joined.
+const SERIES: [(&str, &str, &[&str]); 5] = [
+    ("eddy, shipped model", "#0072b2", &["**eddy, shipped model**"]),
+    (
+        "MPM restarted: on all of the grid, half, a quarter",
+        "#d55e00",
+        &["MPM restarted", "MPM on half the grid", "MPM on a quarter of the grid"],
+    ),
+    ("MPM with half the substeps", "#e69f00", &["MPM with half the substeps"]),
+    ("NeuralMPM", "#009e73", &["NeuralMPM"]),
+    ("Transolver, on five of the scenes", "#cc79a7", &["Transolver"]),
 ];
+/// Frames ahead, one panel each.
+const PANELS: [&str; 3] = ["1", "20", "100"];
 
-const WIDTH: f64 = 760.0;
-const HEIGHT: f64 = 300.0;
-/// Margins of the plot: left, top, right, bottom (pixels).
-const MARGIN: [f64; 4] = [52.0, 16.0, 210.0, 44.0];
+const WIDTH: f64 = 820.0;
+const HEIGHT: f64 = 376.0;
+/// Of the first panel: left, top, width, height; and the distance to the next one (pixels).
+const PANEL: [f64; 4] = [64.0, 28.0, 228.0, 220.0];
+const NEXT: f64 = 252.0;
+/// Of the legend: left, top, width of a column, height of a row (pixels).
+const LEGEND: [f64; 4] = [64.0, 312.0, 350.0, 20.0];
+/// The axes, which are logarithmic: milliseconds of a frame on one thread, and squared errors relative to the best trivial
+/// predictor.
+const COST: [f64; 2] = [0.5, 200.0];
+const ERROR: [f64; 2] = [0.04, 6.0];
 
-/// The numbers of the first row with this name.
-fn row(table: &str, name: &str) -> Vec<f64> {
-    let line = table.lines().find(|line| line.starts_with(&format!("| {name} |")));
-    let line = line.unwrap_or_else(|| panic!("no row `{name}`"));
-    line.split('|').skip(2).filter_map(|cell| cell.trim().parse().ok()).take(6).collect()
+/// Place of a value on a logarithmic axis, 0 to 1.
+fn along([low, high]: [f64; 2], value: f64) -> f64 {
+    assert!((low..=high).contains(&value), "{value} is outside the axis {low}..{high}");
+    (value / low).ln() / (high / low).ln()
 }
 
-/// Position of a frame and a skill (pixels); frames on a logarithmic scale.
-fn place(frame: f64, skill: f64) -> (f64, f64) {
-    let [left, top, right, bottom] = MARGIN;
-    let x = left + frame.log(100.0) * (WIDTH - left - right);
-    (x, top + (1.0 - skill) * (HEIGHT - top - bottom))
+/// Place of a point of a panel (pixels).
+fn place(panel: usize, cost: f64, error: f64) -> [f64; 2] {
+    let [left, top, width, height] = PANEL;
+    [
+        left + panel as f64 * NEXT + along(COST, cost) * width,
+        top + (1.0 - along(ERROR, error)) * height,
+    ]
+}
+
+fn cells(line: &str) -> Vec<&str> {
+    line.split('|').map(|cell| cell.trim().trim_matches('*')).collect()
 }
 
 /// The plot as SVG.
 pub fn svg() -> String {
-    let table = fs::read_to_string(root().join("checkpoints/README.md")).unwrap();
-    let header = table.lines().find(|line| line.starts_with("| | frame 1 |")).unwrap();
-    let frames = header.replace("frame ", "");
-    let frames: Vec<f64> = frames.split('|').filter_map(|cell| cell.trim().parse().ok()).collect();
-    assert_eq!(frames.len(), 6, "{header}");
+    let page = fs::read_to_string(root().join("docs/src/background/other_simulators.md")).unwrap();
+    let line = |first: &str| {
+        let found = page.lines().find(|line| {
+            let rest = line.strip_prefix("| ").and_then(|line| line.strip_prefix(first));
+            rest.is_some_and(|rest| rest.starts_with([' ', '|']))
+        });
+        found.unwrap_or_else(|| panic!("no row `{first}`"))
+    };
+    let header = cells(line("skill at frame"));
+    let column = |name: &str| header.iter().position(|cell| *cell == name).unwrap();
+    let value = |row: &str, name: &str| -> f64 {
+        let row = cells(line(row));
+        row[column(name)].parse().unwrap_or_else(|_| panic!("{row:?}: no number under `{name}`"))
+    };
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" font-size=\"13\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n"
     );
-    let mut line = |from: (f64, f64), to: (f64, f64), color: &str| {
-        let ((x1, y1), (x2, y2)) = (from, to);
+    let mut words = |[x, y]: [f64; 2], anchor: &str, text: &str| {
         writeln!(
             svg,
-            "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{color}\"/>"
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" fill=\"#333333\">{text}</text>"
         )
         .unwrap();
     };
-    for skill in [0.0, 0.25, 0.5, 0.75, 1.0] {
-        line(
-            place(1.0, skill),
-            place(100.0, skill),
-            if skill == 0.0 { "#333333" } else { "#dddddd" },
-        );
-    }
-    let mut words = |(x, y): (f64, f64), anchor: &str, color: &str, text: &str| {
-        writeln!(svg, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" fill=\"{color}\">{text}</text>").unwrap();
+    let [left, top, width, height] = PANEL;
+    let [legend_left, legend_top, legend_width, legend_row] = LEGEND;
+    let legend = |number: usize| {
+        [
+            legend_left + (number % 2) as f64 * legend_width,
+            legend_top + (number / 2) as f64 * legend_row,
+        ]
     };
-    for skill in [0.0, 0.5, 1.0] {
-        let (x, y) = place(1.0, skill);
-        words((x - 8.0, y + 4.0), "end", "#333333", &format!("{skill}"));
+    for error in [0.1, 1.0] {
+        let [x, y] = place(0, COST[0], error);
+        words([x - 6.0, y + 4.0], "end", &error.to_string());
     }
-    for &frame in &frames {
-        let (x, y) = place(frame, 0.0);
-        words((x, y + 18.0), "middle", "#333333", &format!("{frame}"));
+    for (panel, frames) in PANELS.iter().enumerate() {
+        let middle = left + panel as f64 * NEXT + width / 2.0;
+        let plural = if *frames == "1" { "" } else { "s" };
+        words([middle, top - 10.0], "middle", &format!("{frames} frame{plural} ahead"));
+        for cost in [1.0, 10.0, 100.0] {
+            let [x, y] = place(panel, cost, ERROR[0]);
+            words([x, y + 16.0], "middle", &cost.to_string());
+        }
     }
-    let (middle, bottom) = (place(10.0, 0.0).0, HEIGHT - 8.0);
     words(
-        (middle, bottom),
+        [left + NEXT + width / 2.0, top + height + 36.0],
         "middle",
-        "#333333",
-        "frames ahead (16 ms each); skill: 1 perfect, 0 the best trivial predictor",
+        "ms for a frame of 2,500 particles on one CPU thread",
     );
-    for (name, label, color, shift) in CURVES {
-        let skills = row(&table, name);
-        assert_eq!(skills.len(), frames.len(), "{name}");
-        let points: Vec<_> =
-            frames.iter().zip(&skills).map(|(&frame, &skill)| place(frame, skill)).collect();
-        let path: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-        writeln!(
-            svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\"/>",
-            path.join(" ")
-        )
-        .unwrap();
-        for (x, y) in &points {
-            writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{color}\"/>")
+    for (number, (label, ..)) in SERIES.iter().enumerate() {
+        let [x, y] = legend(number);
+        words([x + 12.0, y + 4.0], "start", label);
+    }
+    let (x, y) = (16.0, top + height / 2.0);
+    writeln!(
+        svg,
+        "<text transform=\"translate({x:.1},{y:.1}) rotate(-90)\" text-anchor=\"middle\" fill=\"#333333\">squared error / best trivial predictor</text>"
+    )
+    .unwrap();
+    for panel in 0..PANELS.len() {
+        for (error, colour) in [(0.1, "#dddddd"), (1.0, "#333333"), (ERROR[0], "#dddddd")] {
+            let ([x1, y], [x2, _]) = (place(panel, COST[0], error), place(panel, COST[1], error));
+            writeln!(svg, "<line x1=\"{x1:.1}\" y1=\"{y:.1}\" x2=\"{x2:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\"/>").unwrap();
+        }
+    }
+    for (number, (_, colour, rows)) in SERIES.iter().enumerate() {
+        let mut dot = |[x, y]: [f64; 2]| {
+            writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>")
+                .unwrap();
+        };
+        dot(legend(number));
+        let mut curves = Vec::new();
+        for (panel, frames) in PANELS.iter().enumerate() {
+            let points: Vec<_> = rows
+                .iter()
+                .map(|row| place(panel, value(row, "CPU, ms"), 1.0 - value(row, frames)))
+                .collect();
+            points.iter().copied().for_each(&mut dot);
+            curves.push(points);
+        }
+        for points in curves.iter().filter(|points| points.len() > 1) {
+            let path: Vec<_> = points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+            let path = path.join(" ");
+            writeln!(svg, "<polyline points=\"{path}\" fill=\"none\" stroke=\"{colour}\"/>")
                 .unwrap();
         }
-        let (x, y) = points[points.len() - 1];
-        let last = skills[skills.len() - 1];
-        let y = y + 4.0 + shift;
-        writeln!(
-            svg,
-            "<text x=\"{:.1}\" y=\"{y:.1}\" fill=\"{color}\">{last:.2} {label}</text>",
-            x + 8.0
-        )
-        .unwrap();
     }
     svg + "</svg>\n"
 }

@@ -34,8 +34,8 @@ fn page(name: &str, expected: &str) {
 }
 
 #[test]
-fn the_figure_is_drawn_from_the_table_of_the_shipped_model() {
-    page("pictures/skill.svg", &figure::svg());
+fn the_figure_is_drawn_from_the_table_of_simulators() {
+    page("pictures/cost_error.svg", &figure::svg());
 }
 
 #[test]
