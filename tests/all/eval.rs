@@ -259,14 +259,26 @@ fn a_grid_that_cannot_be_halved_leaves_out_that_rival_only() {
     succeed(["simulate", "--scene", &scene, "--output", &data, "--duration", "0.2"]);
     let mut arguments = vec!["eval", "--checkpoint", SHIPPED, "--data", &data, "--output", &output];
     arguments.extend(["--horizon", "2", "--starts", "1", "--references", "mpm"]);
-    let printed = succeed(arguments);
+    let printed = succeed(arguments.clone());
     let note = "no MPM restarted, half the grid";
     assert!(printed.contains(note) && printed.contains("[65, 64] cells"), "{printed}");
     let report = report(&folder);
     assert!(report["notes"][0].as_str().unwrap().starts_with(note), "{}", report["notes"]);
-    let names = names(&report);
-    assert!(names.contains(&"MPM restarted, half the substeps"), "{names:?}");
-    assert!(!names.contains(&"MPM restarted, half the grid"), "{names:?}");
+    let found = names(&report);
+    assert!(found.contains(&"MPM restarted, half the substeps"), "{found:?}");
+    assert!(!found.contains(&"MPM restarted, half the grid"), "{found:?}");
+    assert!(!found.contains(&"MPM restarted, a quarter of the grid"), "{found:?}");
+
+    // 66 cells can be halved once.
+    fs::write(&scene, words.replace("1.015625", "1.03125")).unwrap();
+    succeed(["simulate", "--scene", &scene, "--output", &data, "--duration", "0.2", "--force"]);
+    arguments.push("--force");
+    let printed = succeed(arguments);
+    assert!(printed.contains("numbers of cells divisible by 4"), "{printed}");
+    let report = self::report(&folder);
+    let found = names(&report);
+    assert!(found.contains(&"MPM restarted, half the grid"), "{found:?}");
+    assert!(!found.contains(&"MPM restarted, a quarter of the grid"), "{found:?}");
 }
 
 #[test]

@@ -32,7 +32,8 @@ MIDDLE_STIFFNESS, STIFFNESS_DECADES, MAX_STIFFNESS_FEATURE = 1e4, 1.5, 1.5
 LEAST_MASS, FULL = 1e-3, 16.0
 # Features of a node besides its channels: its fill and the proximity to the four walls.
 NODE_FEATURES = 1 + 4
-# The remaining constants belong to the rules: those of format version 1, and of `[rules]` as `eddy train` writes it.
+# The remaining constants belong to the rules: those of format version 1, and of `[rules]` as `eddy train` writes it, but for the
+# rate of `area`.
 # Distance to a wall that ends free flight (cells).
 REACH = 1.5
 # Rule `area`: width of a cell (spacings), fill of a node above which pressure acts and fill at the
@@ -143,6 +144,8 @@ class ParticleModel(nn.Module):
         super().__init__()
         sizes, surroundings = description["sizes"], description["surroundings"]
         width, hidden, channels = sizes["encoder"], sizes["hidden"], surroundings["channels"]
+        # Share of the excess that the rule `area` removes in a frame: all in format version 1, which has no rules.
+        self.rate = description.get("rules", {}).get("area", {}).get("rate", 1.0)
         self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
 
         self.is_told_stiffness = description.get("stiffness", False)
@@ -298,7 +301,7 @@ class ParticleModel(nn.Module):
         liquid = torch.einsum("nj,ni,n->ji", up, across, wet) / AREA_CELL**2 / mass.clamp(min=1e-9)
         fill = torch.where(inside, mass / (share[1].unsqueeze(1) * share[0]).clamp(min=1e-9), 0)
         pressed = fill >= SURFACE
-        excess = torch.where(pressed, (fill - FULLEST).clamp(min=0) * liquid, 0)
+        excess = torch.where(pressed, self.rate * (fill - FULLEST).clamp(min=0) * liquid, 0)
         if not (excess > 0).any():
             return predicted
 

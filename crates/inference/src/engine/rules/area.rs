@@ -373,8 +373,9 @@ mod tests {
         }
     }
 
+    /// The rule that removes all of the excess.
     fn rule() -> AreaRule {
-        Rules::STANDARD.area.unwrap()
+        Rules::VERSION_1.area.unwrap()
     }
 
     fn solved(frame: &Frame) -> Pressure {
@@ -419,7 +420,7 @@ mod tests {
     fn a_block_pressed_together_expands_around_its_centre() {
         let frame = block([0.3, 0.3], 0.8 * SPACING, Material::Liquid);
         let (before, at) = (fullest(&frame), centre(&frame));
-        let frame = moved(frame, 60);
+        let frame = moved(frame, 10);
         assert!(before > 1.5 && fullest(&frame) < 1.3, "{before}, {}", fullest(&frame));
         let to = centre(&frame);
         assert!(
@@ -429,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_is_the_share_of_a_shift_that_a_frame_sees() {
+    fn shifts_are_proportional_to_the_rate() {
         // Shifts shorter than the longest.
         let frame = block([0.3, 0.3], 0.88 * SPACING, Material::Liquid);
         let shifts = |rate: f32| {
@@ -449,7 +450,7 @@ mod tests {
     fn a_pool_pressed_against_floor_and_wall_rises() {
         let frame = block(WALLS.lower, 0.8 * SPACING, Material::Liquid);
         let at = centre(&frame);
-        let frame = moved(frame, 60);
+        let frame = moved(frame, 10);
         assert!(fullest(&frame) < 1.35, "{}", fullest(&frame));
         let to = centre(&frame);
         assert!(to[0] > at[0] && to[1] > at[1], "{at:?} {to:?}");
