@@ -51,6 +51,12 @@ fn cells(line: &str) -> Vec<&str> {
     line.split('|').map(|cell| cell.trim().trim_matches('*')).collect()
 }
 
+fn dots(svg: &mut String, points: &[[f64; 2]], colour: &str) {
+    for [x, y] in points {
+        writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>").unwrap();
+    }
+}
+
 /// The plot as SVG.
 pub fn svg() -> String {
     let page = fs::read_to_string(root().join("docs/src/background/other_simulators.md")).unwrap();
@@ -121,25 +127,17 @@ pub fn svg() -> String {
         }
     }
     for (number, (_, colour, rows)) in SERIES.iter().enumerate() {
-        let mut dot = |[x, y]: [f64; 2]| {
-            writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>")
-                .unwrap();
-        };
-        dot(legend(number));
-        let mut curves = Vec::new();
+        dots(&mut svg, &[legend(number)], colour);
         for (panel, frames) in PANELS.iter().enumerate() {
-            let points: Vec<_> = rows
-                .iter()
-                .map(|row| place(panel, value(row, "CPU, ms"), 1.0 - value(row, frames)))
-                .collect();
-            points.iter().copied().for_each(&mut dot);
-            curves.push(points);
-        }
-        for points in curves.iter().filter(|points| points.len() > 1) {
-            let path: Vec<_> = points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
-            let path = path.join(" ");
-            writeln!(svg, "<polyline points=\"{path}\" fill=\"none\" stroke=\"{colour}\"/>")
-                .unwrap();
+            let at = |row| place(panel, value(row, "CPU, ms"), 1.0 - value(row, frames));
+            let points: Vec<_> = rows.iter().copied().map(at).collect();
+            dots(&mut svg, &points, colour);
+            if points.len() > 1 {
+                let path: Vec<_> = points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+                let path = path.join(" ");
+                writeln!(svg, "<polyline points=\"{path}\" fill=\"none\" stroke=\"{colour}\"/>")
+                    .unwrap();
+            }
         }
     }
     svg + "</svg>\n"

@@ -4,8 +4,8 @@
     python tests/golden/torch/generate.py
 
 Each row of `ROWS` and `PARTICLE_ROWS` becomes `NAME.safetensors`. Its metadata `row` is JSON with `description` (the network
-as in `model.toml`) and `training` (the loss, the gradient clip, and the frames after which gradients through time are cut). Its
-tensors are
+as in `model.toml`) and `training` (the loss, the gradient clip, and the frames after which gradients through time are cut).
+Its tensors are
 
     weight.*                     initial weights, exactly representable as f32
     input.position, .velocity    [T, B, N, 2], warm-up and future; the first frame is the rest shape
