@@ -14,7 +14,7 @@ use eddy_settings::near;
 
 /// Version of the checkpoint format that is written. It increases when older files would be misread.
 ///
-/// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::VERSION_1`].
+/// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::STANDARD`], with a rate of the rule `area` of 1.
 pub const FORMAT_VERSION: u32 = 2;
 
 /// Statistics of the features x, y, vx, vy over the training split only (domain lengths and domain lengths per second).
@@ -174,10 +174,7 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointEr
         }
         Some(1) => {
             let description: Description = toml::from_str(text).map_err(syntax)?;
-            let rules = match description.architecture {
-                Architecture::Frame => Rules::default(),
-                Architecture::Particle => Rules::VERSION_1,
-            };
+            let rules = Rules::of_version_1(description.architecture);
             Ok(Description { format_version: FORMAT_VERSION, rules, ..description })
         }
         Some(2) => toml::from_str(text).map_err(syntax),

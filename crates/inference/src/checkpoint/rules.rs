@@ -49,7 +49,7 @@ pub struct AreaRule {
 }
 
 /// The [`AreaRule::rate`] of checkpoints without one.
-const fn all_at_once() -> f32 {
+fn all_at_once() -> f32 {
     1.0
 }
 
@@ -131,28 +131,20 @@ impl fmt::Display for Rule {
 
 impl Rules {
     /// All rules, the default of new particle models.
-    pub const STANDARD: Self = Self::with_rate(0.2);
-
-    /// All rules, with the constants that format version 1 implied.
-    pub const VERSION_1: Self = Self::with_rate(all_at_once());
-
-    /// All rules, with an [`AreaRule::rate`].
-    const fn with_rate(rate: f32) -> Self {
-        Self {
-            area: Some(AreaRule {
-                cell_width: 2.0,
-                fill_limit: 1.25,
-                surface_fill: 0.5,
-                sweeps: 20,
-                relaxation: 1.7,
-                longest_shift: 0.5,
-                rate,
-            }),
-            shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
-            flight: Some(FlightRule { wall_distance: 1.5 }),
-            rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
-        }
-    }
+    pub const STANDARD: Self = Self {
+        area: Some(AreaRule {
+            cell_width: 2.0,
+            fill_limit: 1.25,
+            surface_fill: 0.5,
+            sweeps: 20,
+            relaxation: 1.7,
+            longest_shift: 0.5,
+            rate: 0.2,
+        }),
+        shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
+        flight: Some(FlightRule { wall_distance: 1.5 }),
+        rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+    };
 
     /// The rules of a new network: [`Rules::STANDARD`] for the particle model, none for the frame model.
     pub fn standard(architecture: Architecture) -> Self {
@@ -160,6 +152,15 @@ impl Rules {
             Architecture::Frame => Self::default(),
             Architecture::Particle => Self::STANDARD,
         }
+    }
+
+    /// The rules that format version 1 implied: those of a new network, but for the rate of the rule `area`.
+    pub(super) fn of_version_1(architecture: Architecture) -> Self {
+        let mut rules = Self::standard(architecture);
+        if let Some(area) = &mut rules.area {
+            area.rate = all_at_once();
+        }
+        rules
     }
 
     /// Whether every rule is off.

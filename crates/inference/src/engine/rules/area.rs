@@ -375,7 +375,7 @@ mod tests {
 
     /// The rule that removes all of the excess.
     fn rule() -> AreaRule {
-        Rules::VERSION_1.area.unwrap()
+        AreaRule { rate: 1.0, ..Rules::STANDARD.area.unwrap() }
     }
 
     fn solved(frame: &Frame) -> Pressure {
