@@ -63,7 +63,7 @@ impl Surrogate {
     }
 
     /// Begins a stream with its first frame, which is not observed yet: pass it to `Stream.step` first. The particle model takes
-    /// the shape of jelly and rope in this frame as their rest shape. A network that is told the stiffness needs that of the stream,
+    /// the shape of jelly and rope in this frame as their rest shape. A network that is conditioned on the stiffness needs that of the stream,
     /// Young's modulus (density x velocity^2); others take none.
     #[pyo3(signature = (first, *, stiffness=None))]
     fn stream(

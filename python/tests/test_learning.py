@@ -43,8 +43,8 @@ def test_a_network_is_told_the_stiffness_of_each_scene_and_of_each_stream(tmp_pa
     program, bags = Path(sys.executable).with_name("eddy"), tmp_path / "bags"
     scenes = ["--preset", "kinds", "--particles", "250", "--scenes", "10", "--duration", "0.8"]
     subprocess.run([program, "simulate", *scenes, "--stiffness", "300..3e4", "--output", bags], check=True)
-    told = {**SMALL, "network": {**SMALL["network"], "stiffness": True}}
-    eddy.train(bags, tmp_path / "model", told)
+    conditioned = {**SMALL, "network": {**SMALL["network"], "stiffness": True}}
+    eddy.train(bags, tmp_path / "model", conditioned)
     surrogate = eddy.Surrogate(tmp_path / "model")
     first = next(iter(eddy.Bag(bags / "scene_0001").frames()))
     soft, stiff = (surrogate.stream(first, stiffness=stiffness).step(first) for stiffness in (1e3, 1e5))
@@ -54,14 +54,14 @@ def test_a_network_is_told_the_stiffness_of_each_scene_and_of_each_stream(tmp_pa
     with pytest.raises(ValueError, match="stiffness: found 1000, expected nothing"):
         eddy.Surrogate().stream(first, stiffness=1e3)
     with pytest.raises(ValueError, match="stiffness: found nothing, expected Young's modulus"):
-        eddy.Node("shm:/told/in", "shm:/told/out", surrogate).start()
+        eddy.Node("shm:/stiffness/in", "shm:/stiffness/out", surrogate).start()
 
     own = eddy.evaluate(bags, tmp_path / "model", horizon=5, starts=2).to_dict()
     given = eddy.evaluate(bags, tmp_path / "model", horizon=5, starts=2, stiffness=3e5).to_dict()
     assert own["predictors"][0]["skill"] != given["predictors"][0]["skill"]
     (bags / "manifest.json").unlink()
     with pytest.raises(eddy.TrainError, match="scene_.*stiffness: found nothing, expected manifest.json"):
-        eddy.train(bags, tmp_path / "other", told)
+        eddy.train(bags, tmp_path / "other", conditioned)
 
 
 def test_skill_of_any_rollouts_is_that_of_eddy_eval(bags: Path) -> None:

@@ -1,4 +1,4 @@
-//! A network that is told the stiffness of a stream: where the stiffness comes from, and what is said where it is missing.
+//! A network that is conditioned on the stiffness of a stream: where the stiffness comes from, and what is said where it is missing.
 
 use std::{fs, path::Path};
 
@@ -13,7 +13,7 @@ const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle
 const CONDITIONED: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru-conditioned");
 
-/// Small scenes, each with a stiffness of its own, and a network that is trained on them and told the stiffness.
+/// Small scenes, each with a stiffness of its own, and a network that is trained on them and conditioned on the stiffness.
 struct World {
     folder: TempDir,
 }
@@ -137,7 +137,7 @@ fn a_network_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
     world.skill(&["--stiffness", "1e4"]);
 
     let expected = "stiffness: found nothing, expected Young's modulus of the stream";
-    let message = fail(1, ["node", "--checkpoint", &model, "--input", "shm:/told/particles"]);
+    let message = fail(1, ["node", "--checkpoint", &model, "--input", "shm:/stiffness/particles"]);
     assert!(message.contains(expected), "{message}");
 }
 
@@ -156,14 +156,22 @@ fn a_stiffness_for_a_network_that_does_not_use_it_is_refused() {
     world.simulate("unseen", "2", "2");
     let given = &["--stiffness", "1e4"];
     let message = fail(1, world.eval(SHIPPED, given));
-    let expected = "stiffness: found 10000, expected nothing: no checkpoint is told it";
+    let expected = "stiffness: found 10000, expected nothing: no checkpoint is conditioned on it";
     assert!(message.contains(expected), "{message}");
     let expected = "stiffness: found 10000, expected nothing: the checkpoint does not use it";
     for arguments in [
         world.predict(SHIPPED, "no", given),
-        ["node", "--checkpoint", SHIPPED, "--input", "shm:/told/particles", "--stiffness", "1e4"]
-            .map(str::to_owned)
-            .into(),
+        [
+            "node",
+            "--checkpoint",
+            SHIPPED,
+            "--input",
+            "shm:/stiffness/particles",
+            "--stiffness",
+            "1e4",
+        ]
+        .map(str::to_owned)
+        .into(),
     ] {
         let message = fail(1, arguments);
         assert!(message.contains(expected), "{message}");

@@ -4,7 +4,7 @@
     cargo build --release
     python tests/peers/torch_exchange.py target/release/eddy
 
-For both architectures and every core, and for a particle model that is told the stiffness, a
+For both architectures and every core, and for a particle model that is conditioned on the stiffness, a
 checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
 with `strict=True`, each predict a bag with `eddy predict` and in PyTorch. A table shows the largest
 difference relative to the largest value; exits with 1 if one exceeds 1e-5.
@@ -36,7 +36,7 @@ FASTEST = 15.0
 TRAINING = """
 epochs = 1
 unroll = [{ share = 1.0, frames = 2 }]
-network = { encoder = 32, hidden = 48, layers = 2, channels = [5, 6, 7, 8], stiffness = IS_TOLD }
+network = { encoder = 32, hidden = 48, layers = 2, channels = [5, 6, 7, 8], stiffness = IS_CONDITIONED }
 windows.per_epoch = 64
 validation.horizon = 4
 """
@@ -81,8 +81,8 @@ def difference(eddy: str, model: Model, checkpoint: Path, bag: Path, work: Path)
     material = torch.from_numpy(shown[0].material.copy()).long().unsqueeze(0)
     bodies = stack([shown[number] for number in sorted(shown)])
     with torch.no_grad():
-        told = {"stiffness": torch.tensor([STIFFNESS])} if getattr(model, "is_told_stiffness", False) else {}
-        expected, _ = model.double()(bodies, model.matter(material, bodies[0][0], **told))
+        conditioned = {"stiffness": torch.tensor([STIFFNESS])} if getattr(model, "is_conditioned", False) else {}
+        expected, _ = model.double()(bodies, model.matter(material, bodies[0][0], **conditioned))
         if isinstance(model, ParticleModel):
             expected = apply_rules(model, material, bodies, expected)
     apart = 0.0
@@ -116,32 +116,32 @@ def main() -> None:
         subprocess.run([eddy, "--quiet", "simulate", *simulate], check=True)
         bag = work / "truth" / "scene_0000"  # in free flight for some frames
         particles = len(frames(bag, "/particles", typestore())[0].material)
-        for is_told in (False, True):
-            (work / f"told_{is_told}.toml").write_text(TRAINING.replace("IS_TOLD", str(is_told).lower()))
+        for is_conditioned in (False, True):
+            (work / f"conditioned_{is_conditioned}.toml").write_text(TRAINING.replace("IS_CONDITIONED", str(is_conditioned).lower()))
         own = {
             "frame": {"sizes": SIZES | {"particles": particles}},
             "particle": {"sizes": SIZES, "surroundings": SURROUNDINGS},
         }
         print("model    core     stiffness by PyTorch  by eddy")
         rows = [(*row, False) for row in itertools.product(own, CORES)] + [("particle", "mingru", True)]
-        for architecture, core, is_told in rows:
-            name = f"{architecture}_{core}_{is_told}"
+        for architecture, core, is_conditioned in rows:
+            name = f"{architecture}_{core}_{is_conditioned}"
             written = work / f"{name}_torch"
-            changes = own[architecture] | ({"stiffness": True} if is_told else {})
+            changes = own[architecture] | ({"stiffness": True} if is_conditioned else {})
             description = describe(core, architecture=architecture, **changes)
             scale = description["normalization"]
             scale["minimum"][2:], scale["maximum"][2:] = [-FASTEST] * 2, [FASTEST] * 2
             model = network(description)
             save(model, description, written)
             trained = work / f"{name}_eddy"
-            train = ["--architecture", architecture, "--core", core, "--config", work / f"told_{is_told}.toml"]
+            train = ["--architecture", architecture, "--core", core, "--config", work / f"conditioned_{is_conditioned}.toml"]
             train += ["--data", work / "truth", "--output", trained]
             subprocess.run([eddy, "--quiet", "train", *train], check=True)
             both = [
                 difference(eddy, model, written, bag, work),
                 difference(eddy, load(trained), trained, bag, work),
             ]
-            print(f"{architecture:8} {core:8} {'told' if is_told else '-':8} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
+            print(f"{architecture:8} {core:8} {'conditioned' if is_conditioned else '-':11} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
             apart += both
     raise SystemExit(0 if max(apart) <= NEAR else 1)
 

@@ -116,9 +116,9 @@ def rest_neighbours(position: Tensor, material: Tensor, spacing: float) -> tuple
 
     moment = torch.einsum("bij,bijx,bijy->bixy", weight, apart, apart)  # A
     low, high = torch.linalg.eigvalsh(moment).unbind(-1)
-    told = (linked.sum(-1) >= FEWEST) & (low > FLATTEST * high)
-    inverse = torch.linalg.inv(torch.where(told[..., None, None], moment, torch.eye(2).double()))
-    return torch.where(told.unsqueeze(2), weight, 0), apart, inverse
+    is_determined = (linked.sum(-1) >= FEWEST) & (low > FLATTEST * high)
+    inverse = torch.linalg.inv(torch.where(is_determined[..., None, None], moment, torch.eye(2).double()))
+    return torch.where(is_determined.unsqueeze(2), weight, 0), apart, inverse
 
 
 def rest_shape(position: Tensor, material: Tensor, spacing: float) -> Tensor:
@@ -148,8 +148,8 @@ class ParticleModel(nn.Module):
         self.rate = description.get("rules", {}).get("area", {}).get("rate", 1.0)
         self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
 
-        self.is_told_stiffness = description.get("stiffness", False)
-        features, c0 = FEATURES + self.is_told_stiffness, channels[0]
+        self.is_conditioned = description.get("stiffness", False)
+        features, c0 = FEATURES + self.is_conditioned, channels[0]
         self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, c0)])
         levels = []
         for level, own in enumerate(channels):
@@ -192,9 +192,9 @@ class ParticleModel(nn.Module):
 
     def matter(self, material: Tensor, rest: Tensor, stiffness: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Static inputs: materials [B, N] as features [B, N, 4], with the stiffness [B] behind them, [B, N, 5], if the network
-        is told it; and `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame."""
-        if (stiffness is not None) != self.is_told_stiffness:
-            raise ValueError(f"found stiffness {stiffness}, expected {'one for each window' if self.is_told_stiffness else 'none'}")
+        is conditioned on it; and `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame."""
+        if (stiffness is not None) != self.is_conditioned:
+            raise ValueError(f"found stiffness {stiffness}, expected {'one for each window' if self.is_conditioned else 'none'}")
         features = one_hot(material, len(MATERIALS)).to(self.unit)
         if stiffness is not None:
             feature = torch.log10(stiffness.to(self.unit) / MIDDLE_STIFFNESS) / STIFFNESS_DECADES

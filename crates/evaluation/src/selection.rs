@@ -68,24 +68,26 @@ impl Selection {
     }
 }
 
-/// Gives all streams their stiffness, or checks that it is known, if a checkpoint is told it.
+/// Gives all streams their stiffness, or checks that it is known, if a checkpoint is conditioned on it.
 fn tell_stiffness(
     descriptions: &[&Description],
     streams: &mut [Trajectory],
     given: Option<f32>,
 ) -> Result<(), EvaluationError> {
-    let is_told = descriptions.iter().any(|description| description.stiffness);
+    let is_conditioned = descriptions.iter().any(|description| description.stiffness);
     let rejected = |found: f32, expected| {
         Err(EvaluationError::Stiffness { found: found.to_string(), expected })
     };
     match given {
         Some(found) if !(found.is_finite() && found > 0.0) => rejected(found, "a positive number"),
-        Some(found) if !is_told => rejected(found, "nothing: no checkpoint is told it"),
+        Some(found) if !is_conditioned => {
+            rejected(found, "nothing: no checkpoint is conditioned on it")
+        }
         Some(stiffness) => {
             streams.iter_mut().for_each(|stream| stream.stiffness = Some(stiffness));
             Ok(())
         }
-        None if is_told => {
+        None if is_conditioned => {
             let mut all = streams.iter().map(Trajectory::known_stiffness);
             all.try_for_each(|known| known.map(drop)).map_err(EvaluationError::UnknownStiffness)
         }

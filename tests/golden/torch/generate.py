@@ -10,7 +10,7 @@ Its tensors are
     weight.*                     initial weights, exactly representable as f32
     input.position, .velocity    [T, B, N, 2], warm-up and future; the first frame is the rest shape
     input.material               [B, N]
-    input.stiffness              [B], of a network that is told it
+    input.stiffness              [B], of a network that is conditioned on it
     forward.position, .velocity  prediction after each of the T frames, [T, B, N, 2]
     unroll.position, .velocity   free rollout from the warm-up, [K, B, N, 2]
     loss                         [1]
@@ -85,7 +85,7 @@ SCENE = torch.tensor([2] * 16 + [3] * 12 + [0] * DROPS + [1] * FLAKES)  # materi
 # epsilon.
 GAIN = 2.0
 
-# Stiffness of each window, for a network that is told it; the second one is beyond the limit.
+# Stiffness of each window, for a network that is conditioned on it; the second one is beyond the limit.
 STIFFNESSES = (1e3, 5e6)
 
 
@@ -192,8 +192,8 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
     make, windows = (particles, WINDOWS) if description["architecture"] == "frame" else (scene, 2)
     bodies, material = make(FRAMES, windows)
     scale = description["normalization"]
-    told = {"stiffness": torch.tensor(STIFFNESSES)} if description.get("stiffness") else {}
-    matter = model.matter(material, bodies[0][0], **told)
+    conditioned = {"stiffness": torch.tensor(STIFFNESSES)} if description.get("stiffness") else {}
+    matter = model.matter(material, bodies[0][0], **conditioned)
     unit = torch.tensor(scale["maximum"]).double() - torch.tensor(scale["minimum"]).double()
 
     forward, _ = model(bodies, matter)
@@ -211,7 +211,7 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
         adam.step()
 
     data = {"loss": loss.reshape(1), "input.material": material.byte()}
-    data |= {f"input.{name}": values for name, values in told.items()}
+    data |= {f"input.{name}": values for name, values in conditioned.items()}
     for name, (position, velocity) in {"input": bodies, "forward": forward, "unroll": predicted}.items():
         data |= {f"{name}.position": position.float(), f"{name}.velocity": velocity.float()}
     data |= {f"weight.{name}": tensor.float() for name, tensor in before.items()}

@@ -299,7 +299,7 @@ struct Fixed {
     first: u64,
     links: u64,
     neighbours: u64,
-    /// The feature of the stiffness; 0 where the network is not told it.
+    /// The feature of the stiffness; 0 where the network is not conditioned on it.
     stiffness: f32,
 }
 

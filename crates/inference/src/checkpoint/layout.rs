@@ -47,7 +47,7 @@ pub fn frame_features(material: MaterialInput) -> usize {
 }
 
 /// Number of input features of the particle model, listed in `model/features.rs` of `eddy-learning`; the stiffness of the stream,
-/// if the network is told it, is the last.
+/// if the network is conditioned on it, is the last.
 pub fn particle_features(stiffness: bool) -> usize {
     19 + Material::COUNT + usize::from(stiffness)
 }

@@ -91,17 +91,17 @@ fn a_checkpoint_is_loaded_as_it_was_saved() {
 #[test]
 fn a_checkpoint_that_is_told_the_stiffness_has_a_key_and_an_input_more() {
     let (folder, plain) = (tempfile::tempdir().unwrap(), checkpoint());
-    let mut told = plain.clone();
-    told.description.stiffness = true;
+    let mut conditioned = plain.clone();
+    conditioned.description.stiffness = true;
     for layer in ["encoder.0", "context"] {
         let name = format!("{layer}.weight");
         let rows = plain.tensors[&name].shape[0];
-        let weights = told.tensors.get_mut(&name).unwrap();
+        let weights = conditioned.tensors.get_mut(&name).unwrap();
         weights.shape[1] += 1;
         weights.values.extend(vec![0.5; rows]);
     }
-    told.save(folder.path()).unwrap();
-    assert_eq!(Checkpoint::load(folder.path()).unwrap(), told);
+    conditioned.save(folder.path()).unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), conditioned);
     let text = fs::read_to_string(folder.path().join(DESCRIPTION_FILE)).unwrap();
     assert!(text.contains("\nstiffness = true\n"), "{text}");
 

@@ -34,7 +34,7 @@ pub struct StreamStart<'a> {
     pub domain: Domain,
     /// Particle model: the rest shape of jelly and rope, in the order of the particles. Empty in the frame model.
     pub rest: &'a RestShape,
-    /// Particle model: the feature of the stream's stiffness, if the network is told it.
+    /// Particle model: the feature of the stream's stiffness, if the network is conditioned on it.
     pub stiffness: Option<f32>,
 }
 

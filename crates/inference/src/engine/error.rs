@@ -43,7 +43,7 @@ pub enum ModelError {
         /// The checkpoint's (s).
         expected: f32,
     },
-    /// A stream's stiffness that the network cannot use, or none where it is told one.
+    /// A stream's stiffness that the network cannot use, or none where it is conditioned on one.
     #[error("stiffness: found {found}, expected {expected}")]
     Stiffness {
         /// The stiffness, or nothing.

@@ -30,7 +30,7 @@ pub struct HiddenState {
     pub(super) material: Vec<u8>,
     /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
     pub(super) rest: Arc<RestShape>,
-    /// The feature of the stream's stiffness, if the network is told it.
+    /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
     /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
     /// [`stride`] long. Zero before the first frame.

@@ -27,7 +27,7 @@ pub(super) const STATE_COLUMNS: usize = 10;
 const WALLS: usize = 6;
 const SHAPE: usize = WALLS + PROXIMITIES;
 const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
-/// The stiffness of the stream, if the network is told it.
+/// The stiffness of the stream, if the network is conditioned on it.
 const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
 /// Position and velocity of a particle.
@@ -53,7 +53,7 @@ pub(super) struct ParticleInputs<'a> {
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],
     pub(super) rest: &'a RestShape,
-    /// The feature of the stream's stiffness, if the network is told it.
+    /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
 }
 

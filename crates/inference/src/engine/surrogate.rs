@@ -187,7 +187,7 @@ impl Surrogate {
     /// Checks the stiffness of a stream (density x velocity^2), or that none is given.
     ///
     /// # Errors
-    /// [`ModelError::Stiffness`] if the network is told the stiffness and it is missing or not a positive number, or if it is given
+    /// [`ModelError::Stiffness`] if the network is conditioned on the stiffness and it is missing or not a positive number, or if it is given
     /// and the network does not use it.
     pub fn check_stiffness(&self, stiffness: Option<f32>) -> Result<(), ModelError> {
         let expected = match (self.description.stiffness, stiffness) {
@@ -195,7 +195,7 @@ impl Surrogate {
             (true, Some(given)) if given.is_finite() && given > 0.0 => return Ok(()),
             (false, Some(_)) => "nothing: the checkpoint does not use it",
             (true, _) => {
-                "Young's modulus of the stream, a positive number: the checkpoint is told it"
+                "Young's modulus of the stream, a positive number: the checkpoint is conditioned on it"
             }
         };
         let found = stiffness.map_or("nothing".to_owned(), |stiffness| stiffness.to_string());
@@ -212,14 +212,14 @@ impl Surrogate {
     /// to [`Stepper::step_into`] first. The particle model takes the shape of jelly and rope in `frame` as their rest shape.
     ///
     /// # Errors
-    /// As [`Surrogate::fits`]; [`ModelError::Stiffness`] if the network is told the stiffness of a stream
+    /// As [`Surrogate::fits`]; [`ModelError::Stiffness`] if the network is conditioned on the stiffness of a stream
     /// ([`Surrogate::start_with_stiffness`]).
     pub fn start(&self, frame: &Frame) -> Result<HiddenState, ModelError> {
         self.start_with_stiffness(frame, None)
     }
 
     /// As [`Surrogate::start`], with the stream's stiffness: Young's modulus of its materials (density x velocity^2), for a network
-    /// that is told it.
+    /// that is conditioned on it.
     ///
     /// # Errors
     /// As [`Surrogate::fits`] and [`Surrogate::check_stiffness`].

@@ -90,7 +90,7 @@ pub(super) fn instruction_sets() -> Vec<Arch> {
     sets
 }
 
-/// The stiffness of a stream that begins with a frame, if the network is told it.
+/// The stiffness of a stream that begins with a frame, if the network is conditioned on it.
 pub(super) fn stiffness(description: &Description, first: &Frame) -> Option<f32> {
     description.stiffness.then(|| 300.0 * first.len() as f32)
 }

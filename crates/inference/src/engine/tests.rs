@@ -153,8 +153,8 @@ fn a_state_that_forgot_its_frames_keeps_the_rest_shape() {
     assert_ne!(hidden, surrogate.start(&frames[2]).unwrap(), "the rest shape is the first frame's");
 }
 
-/// A particle model that is told the stiffness.
-fn told() -> Surrogate {
+/// A particle model that is conditioned on the stiffness.
+fn conditioned() -> Surrogate {
     let mut description = particle_model(Core::MinGru).description;
     description.stiffness = true;
     Surrogate::load(&checkpoint(description, 5), threads(1)).unwrap()
@@ -162,7 +162,7 @@ fn told() -> Surrogate {
 
 #[test]
 fn a_network_that_is_told_the_stiffness_predicts_by_it_up_to_the_limits_of_its_feature() {
-    let (surrogate, frames) = (told(), frames(3, 100, 3));
+    let (surrogate, frames) = (conditioned(), frames(3, 100, 3));
     let predict = |stiffness: f32| {
         let mut hidden = surrogate.start_with_stiffness(&frames[0], Some(stiffness)).unwrap();
         let mut copy = hidden.clone();
@@ -182,20 +182,20 @@ fn a_network_that_is_told_the_stiffness_predicts_by_it_up_to_the_limits_of_its_f
 #[test]
 fn a_network_that_ignores_the_stiffness_predicts_as_one_that_is_not_told_it() {
     let plain = particle_model(Core::MinGru);
-    let mut told = plain.clone();
-    told.description.stiffness = true;
+    let mut conditioned = plain.clone();
+    conditioned.description.stiffness = true;
     let features = particle_features(false);
     for layer in ["encoder.0.weight", "context.weight"] {
-        let Weights { shape, values } = told.tensors.get_mut(layer).unwrap();
+        let Weights { shape, values } = conditioned.tensors.get_mut(layer).unwrap();
         let rows = values.chunks(shape[1]);
         let wider = rows.map(|row| [&row[..features], &[0.0], &row[features..]].concat());
         *values = wider.collect::<Vec<_>>().concat();
         shape[1] += 1;
     }
     let frames = frames(3, 200, 4);
-    let [plain, told] = [plain, told]
+    let [plain, conditioned] = [plain, conditioned]
         .map(|checkpoint| predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames));
-    assert_eq!(plain, told);
+    assert_eq!(plain, conditioned);
 }
 
 #[test]
@@ -216,7 +216,8 @@ fn a_stiffness_that_is_missing_invalid_or_not_used_is_rejected() {
         surrogate.start_with_stiffness(&frame, stiffness).err().unwrap().to_string()
     };
     let expected =
-        "Young's modulus of the stream, a positive number: the checkpoint is told it".to_owned();
+        "Young's modulus of the stream, a positive number: the checkpoint is conditioned on it"
+            .to_owned();
     for (stiffness, found) in [
         (None, "nothing"),
         (Some(0.0), "0"),
@@ -224,10 +225,10 @@ fn a_stiffness_that_is_missing_invalid_or_not_used_is_rejected() {
         (Some(f32::INFINITY), "inf"),
         (Some(f32::NAN), "NaN"),
     ] {
-        let message = rejection(&told(), stiffness);
+        let message = rejection(&conditioned(), stiffness);
         assert_eq!(message, format!("stiffness: found {found}, expected {expected}"));
     }
-    assert!(told().start(&frame).is_err());
+    assert!(conditioned().start(&frame).is_err());
     let other = Surrogate::load(&particle_model(Core::MinGru), threads(1)).unwrap();
     let expected = "nothing: the checkpoint does not use it";
     let message = rejection(&other, Some(1e3));

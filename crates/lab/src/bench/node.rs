@@ -193,7 +193,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     })
 }
 
-/// A stiffness for a network that is told it, on which times do not depend.
+/// A stiffness for a network that is conditioned on it, on which times do not depend.
 fn stiffness(surrogate: &Surrogate) -> Option<f32> {
     surrogate.description().stiffness.then_some(1e3)
 }

@@ -13,7 +13,7 @@
 //! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
 //! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
-//! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is told it |
+//! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is conditioned on it |
 //!
 //! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
 //! in the domain, which may be larger than in training.

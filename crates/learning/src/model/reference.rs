@@ -22,7 +22,7 @@ pub struct Reference {
     corrector: Corrector,
     device: DeviceKind,
     grid: Option<GridOptions>,
-    /// Whether the network is told the stiffness.
+    /// Whether the network is conditioned on the stiffness.
     stiffness: bool,
     /// Time between two frames (s).
     dt: f32,
@@ -50,15 +50,15 @@ impl Reference {
 
     /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed to
     /// [`Reference::step`] first. Its shape is taken as the rest shape of solids. `stiffness` is that of the stream (density x
-    /// velocity^2), for a network that is told it.
+    /// velocity^2), for a network that is conditioned on it.
     ///
     /// # Panics
-    /// Without a stiffness that the network is told, or with one that it does not use.
+    /// Without a stiffness that the network is conditioned on, or with one that it does not use.
     pub fn start(&self, frame: &Frame, stiffness: Option<f32>) -> HiddenState {
         assert_eq!(
             stiffness.is_some(),
             self.stiffness,
-            "a stiffness for a network that is told it"
+            "a stiffness for a network that is conditioned on it"
         );
         let grid = self.grid.as_ref();
         let device = self.device.device();

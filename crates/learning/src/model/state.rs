@@ -26,7 +26,7 @@ impl ParticleState {
 /// Inputs that do not change from frame to frame.
 #[derive(Clone, Debug)]
 pub(crate) struct StaticInputs {
-    /// Features that do not change: materials, one-hot, then the stiffness, if the network is told it, `[R, 4]` or `[R, 5]`.
+    /// Features that do not change: materials, one-hot, then the stiffness, if the network is conditioned on it, `[R, 4]` or `[R, 5]`.
     pub(crate) constants: Tensor<2>,
     /// The same as a list.
     pub(crate) constant_list: Arc<Vec<f32>>,
@@ -38,7 +38,7 @@ pub(crate) struct StaticInputs {
 
 impl StaticInputs {
     /// The inputs of B windows, from materials and rest positions, `[R]` each, and the stiffness of each window for a network that
-    /// is told it, `[B]` (density x velocity^2). The grid options are those of the particle model, which uses the spacing of
+    /// is conditioned on it, `[B]` (density x velocity^2). The grid options are those of the particle model, which uses the spacing of
     /// particles.
     pub(crate) fn new(
         material: &[Material],

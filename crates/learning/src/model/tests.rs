@@ -114,15 +114,15 @@ fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// Every network, and one that is told the stiffness.
+/// Every network, and one that is conditioned on the stiffness.
 fn every_network() -> impl Iterator<Item = Description> {
     let both = [Architecture::Frame, Architecture::Particle];
-    let told = Description { stiffness: true, ..description(both[1], Core::MinGru) };
+    let conditioned = Description { stiffness: true, ..description(both[1], Core::MinGru) };
     let all = both.into_iter().flat_map(|kind| Core::ALL.map(|core| description(kind, core)));
-    all.chain([told])
+    all.chain([conditioned])
 }
 
-/// The stiffness of a stream for a network that is told it.
+/// The stiffness of a stream for a network that is conditioned on it.
 fn stiffness(description: &Description) -> Option<f32> {
     description.stiffness.then_some(3e3)
 }

@@ -79,7 +79,7 @@ pub struct NetworkConfig {
     pub cell_width: f32,
     /// Particle model: channels of each level of the grid, finest first; two to four levels.
     pub channels: Vec<usize>,
-    /// Particle model: whether the network is told the stiffness of each stream, which manifest.json beside its bag must have.
+    /// Particle model: whether the network is conditioned on the stiffness of each stream, which manifest.json beside its bag must have.
     #[serde(default)]
     pub stiffness: bool,
 }

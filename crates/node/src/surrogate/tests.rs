@@ -453,33 +453,40 @@ fn settings_out_of_range_are_named() {
 }
 
 #[test]
-fn a_model_that_is_told_the_stiffness_requires_the_setting_and_others_refuse_it() {
+fn a_model_conditioned_on_the_stiffness_requires_the_setting_and_others_refuse_it() {
     let mut description = checkpoint().description;
     description.stiffness = true;
     // A particle alone flies whatever the network predicts.
     description.rules = Rules::default();
-    let mut told = Checkpoint::new(description.clone(), initial_weights(&description, 1));
-    let decoder = told.tensors.get_mut("decoder.weight").unwrap();
+    let mut conditioned = Checkpoint::new(description.clone(), initial_weights(&description, 1));
+    let decoder = conditioned.tensors.get_mut("decoder.weight").unwrap();
     decoder.values.clone_from(&checkpoint().tensors["decoder.weight"].values);
-    let told = Surrogate::load(&told, None).unwrap();
+    let conditioned = Surrogate::load(&conditioned, None).unwrap();
     let node = |surrogate: &Surrogate, stiffness| {
         let settings = NodeSettings { stiffness, ..NodeSettings::default() };
         SurrogateNode::new(surrogate.clone(), settings).map_err(|error| error.to_string())
     };
     let refused = |surrogate, stiffness| node(surrogate, stiffness).err().unwrap();
-    assert!(refused(&told, None).starts_with("stiffness: found nothing, expected Young's modulus"));
-    assert!(refused(&told, Some(0.0)).starts_with("stiffness: found 0, expected Young's modulus"));
     assert!(
-        refused(&told, Some(-1.0)).starts_with("stiffness: found -1, expected 0 to 1000000000")
+        refused(&conditioned, None)
+            .starts_with("stiffness: found nothing, expected Young's modulus")
+    );
+    assert!(
+        refused(&conditioned, Some(0.0))
+            .starts_with("stiffness: found 0, expected Young's modulus")
+    );
+    assert!(
+        refused(&conditioned, Some(-1.0))
+            .starts_with("stiffness: found -1, expected 0 to 1000000000")
     );
     let expected = "stiffness: found 1000, expected nothing: the checkpoint does not use it";
     assert_eq!(refused(&surrogate(), Some(1e3)), expected);
 
     let predicted = |stiffness: f32| {
-        let mut node = node(&told, Some(stiffness.into())).unwrap();
+        let mut node = node(&conditioned, Some(stiffness.into())).unwrap();
         let found = feed_all(&mut node, (0..WARM_UP).map(|n| frame(1, n)));
-        let mut memory = told.start_with_stiffness(&frame(1, 0), Some(stiffness)).unwrap();
-        let mut stepper = told.stepper();
+        let mut memory = conditioned.start_with_stiffness(&frame(1, 0), Some(stiffness)).unwrap();
+        let mut stepper = conditioned.stepper();
         let expected = (0..WARM_UP).map(|n| stepper.step(&mut memory, &frame(1, n))).last();
         assert_eq!(found, expected.into_iter().collect::<Vec<_>>());
         found

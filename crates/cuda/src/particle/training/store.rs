@@ -126,7 +126,7 @@ impl<'a> StoreWriter<'a> {
     }
 
     /// Begins a stream of particles of these materials (by number), with their rest shapes as they are and mirrored, and the feature
-    /// of its stiffness, which a network that is not told it does not read.
+    /// of its stiffness, which a network that is not conditioned on it does not read.
     ///
     /// # Panics
     /// With too many particles, or rest shapes of others.
