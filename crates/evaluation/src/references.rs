@@ -3,7 +3,10 @@
 
 use rayon::prelude::*;
 
-use super::{EvalError, EvaluationError, Predictor, Restart, chaos};
+use super::{
+    EvalError, EvaluationError, Predictor, Restart,
+    chaos::{self, Origin},
+};
 use crate::dataset::{Trajectory, simulate::ScenesBeside};
 use eddy_mpm::Scene;
 
@@ -38,10 +41,21 @@ impl References {
         if requested.is_empty() {
             return Ok(none(Vec::new()));
         }
+        let without = |reason| Ok(none(vec![format!("no reference solvers: {reason}")]));
         let scenes = match scenes(streams)? {
             Ok(scenes) => scenes,
-            Err(reason) => return Ok(none(vec![format!("no reference solvers: {reason}")])),
+            Err(reason) => return without(reason),
         };
+        let origins = origins(streams, &scenes)?;
+        let source_of = |origin| {
+            let number = origins.iter().position(|&found| found == origin)?;
+            Some(streams[number].source.display())
+        };
+        if let Some(bag) = source_of(Origin::OtherScene) {
+            return without(format!(
+                "{bag}: the first frames differ from those that its scene in manifest.json gives"
+            ));
+        }
         let (mut predictors, mut notes) = (Vec::new(), Vec::new());
         for restart in Restart::ALL.into_iter().filter(|_| requested.contains(&Reference::Restart))
         {
@@ -55,7 +69,13 @@ impl References {
             }
         }
         if requested.contains(&Reference::Chaos) {
-            predictors.push(Predictor::Chaos);
+            match source_of(Origin::Elsewhere) {
+                Some(bag) => notes.push(format!(
+                    "no {}: {bag}: simulating its scene gives other bits, as after `eddy simulate --device cuda`",
+                    chaos::NAME
+                )),
+                None => predictors.push(Predictor::Chaos),
+            }
         }
         let scenes = scenes.into_iter().map(Some).collect();
         Ok(Self { scenes, predictors, notes })
@@ -81,23 +101,16 @@ fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, Evaluati
         }
         scenes.push(scene.clone());
     }
-    let differs = |(stream, scene): (&Trajectory, &Scene)| {
-        let same = || -> Result<bool, EvaluationError> {
-            let invalid = |reason| EvalError::Solver { stream: stream.id, reason };
-            Ok(chaos::is_scene_of(scene, &stream.cut(0..1)?).map_err(invalid)?)
-        };
-        match same() {
-            Ok(true) => None,
-            Ok(false) => Some(Ok(stream.source.display().to_string())),
-            Err(error) => Some(Err(error)),
-        }
+    Ok(Ok(scenes))
+}
+
+/// Where each stream comes from.
+fn origins(streams: &[Trajectory], scenes: &[Scene]) -> Result<Vec<Origin>, EvaluationError> {
+    let pairs: Vec<_> = streams.iter().zip(scenes).collect();
+    let origin = |(stream, scene): (&Trajectory, &Scene)| {
+        let first = stream.cut(0..stream.frames.min(2))?;
+        let invalid = |reason| EvalError::Solver { stream: stream.id, reason };
+        Ok(chaos::origin(scene, &first).map_err(invalid)?)
     };
-    let pairs: Vec<_> = streams.iter().zip(&scenes).collect();
-    match pairs.into_par_iter().find_map_first(differs) {
-        None => Ok(Ok(scenes)),
-        Some(Err(error)) => Err(error),
-        Some(Ok(bag)) => Ok(Err(format!(
-            "{bag}: the first frame differs from the one that its scene in manifest.json gives"
-        ))),
-    }
+    pairs.into_par_iter().map(origin).collect()
 }
