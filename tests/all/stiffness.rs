@@ -90,7 +90,7 @@ validation.horizon = 4
 ";
 
 #[test]
-fn a_network_is_told_the_stiffness_of_each_scene_or_the_one_that_is_given() {
+fn a_conditioned_network_takes_the_stiffness_of_each_scene_or_the_one_that_is_given() {
     let world = World::new();
     let model = world.path("model");
     let description = Checkpoint::load(Path::new(&model)).unwrap().description;

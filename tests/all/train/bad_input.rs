@@ -78,7 +78,7 @@ fn a_number_that_is_no_setting_is_named() {
 }
 
 #[test]
-fn a_stream_whose_stiffness_is_not_known_is_named_if_the_network_is_to_be_told_it() {
+fn a_stream_whose_stiffness_is_not_known_is_named_if_the_network_is_conditioned_on_it() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small(Architecture::Particle, Core::MinGru);
     config.network.stiffness = true;

@@ -89,7 +89,7 @@ fn a_checkpoint_is_loaded_as_it_was_saved() {
 }
 
 #[test]
-fn a_checkpoint_that_is_told_the_stiffness_has_a_key_and_an_input_more() {
+fn a_checkpoint_conditioned_on_the_stiffness_has_a_key_and_an_input_more() {
     let (folder, plain) = (tempfile::tempdir().unwrap(), checkpoint());
     let mut conditioned = plain.clone();
     conditioned.description.stiffness = true;
@@ -123,7 +123,7 @@ fn a_checkpoint_without_the_key_keeps_its_digest() {
 }
 
 #[test]
-fn the_frame_model_is_not_told_the_stiffness() {
+fn the_frame_model_is_not_conditioned_on_the_stiffness() {
     let sizes = Sizes { encoder: 2, hidden: 2, layers: 1, particles: Some(3) };
     let mut description = Description::untrained(Architecture::Frame, Core::Mlp, sizes);
     description.stiffness = true;

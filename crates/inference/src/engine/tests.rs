@@ -161,7 +161,7 @@ fn conditioned() -> Surrogate {
 }
 
 #[test]
-fn a_network_that_is_told_the_stiffness_predicts_by_it_up_to_the_limits_of_its_feature() {
+fn a_network_conditioned_on_the_stiffness_predicts_by_it_up_to_the_limits_of_its_feature() {
     let (surrogate, frames) = (conditioned(), frames(3, 100, 3));
     let predict = |stiffness: f32| {
         let mut hidden = surrogate.start_with_stiffness(&frames[0], Some(stiffness)).unwrap();
@@ -180,7 +180,7 @@ fn a_network_that_is_told_the_stiffness_predicts_by_it_up_to_the_limits_of_its_f
 }
 
 #[test]
-fn a_network_that_ignores_the_stiffness_predicts_as_one_that_is_not_told_it() {
+fn a_network_that_ignores_the_stiffness_predicts_as_an_unconditioned_one() {
     let plain = particle_model(Core::MinGru);
     let mut conditioned = plain.clone();
     conditioned.description.stiffness = true;

@@ -271,7 +271,7 @@ fn other_forms_and_losses_of_the_particle_model_take_the_steps_of_the_cpu() {
 }
 
 #[test]
-fn a_network_that_is_told_the_stiffness_of_each_stream_takes_the_steps_of_the_cpu() {
+fn a_network_conditioned_on_the_stiffness_of_each_stream_takes_the_steps_of_the_cpu() {
     let mut config = config(Core::MinGru);
     config.network.stiffness = true;
     compare(&config, &streams());
