@@ -15,7 +15,7 @@ const SERIES: [(&str, &str, &[&str]); 5] = [
     ),
     ("MPM with half the substeps", "#e69f00", &["MPM with half the substeps"]),
     ("NeuralMPM", "#009e73", &["NeuralMPM"]),
-    ("Transolver, on five of the scenes", "#cc79a7", &["Transolver"]),
+    ("Transolver", "#cc79a7", &["Transolver"]),
 ];
 /// Frames ahead, one panel each.
 const PANELS: [&str; 3] = ["1", "20", "100"];
