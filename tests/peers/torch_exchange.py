@@ -4,8 +4,8 @@
     cargo build --release
     python tests/peers/torch_exchange.py target/release/eddy
 
-For both architectures and every core, and for a particle model that is conditioned on the stiffness, a
-checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
+For both architectures and every core, for a particle model that is conditioned on the stiffness and for one with weights of 16
+bits, a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
 with `strict=True`, each predict a bag with `eddy predict` and in PyTorch. A table shows the largest
 difference relative to the largest value; exits with 1 if one exceeds 1e-5.
 """
@@ -16,6 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import tomli_w
 import torch
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -33,13 +34,8 @@ SIZES = {"encoder": 32, "hidden": 48, "layers": 2}
 SURROUNDINGS = {"cell_width": 1 / 32, "channels": [5, 6, 7, 8], "spacing": 1 / 128}
 # Nodes reject frames that are much faster than the training data.
 FASTEST = 15.0
-TRAINING = """
-epochs = 1
-unroll = [{ share = 1.0, frames = 2 }]
-network = { encoder = 32, hidden = 48, layers = 2, channels = [5, 6, 7, 8], stiffness = IS_CONDITIONED }
-windows.per_epoch = 64
-validation.horizon = 4
-"""
+# Keys of a network's description and of its training.
+OPTIONS = {"-": {}, "stiffness": {"stiffness": True}, "f16": {"weights": "f16"}}
 NEAR = 1e-5
 # Young's modulus of the scenes.
 STIFFNESS = 1e3
@@ -116,32 +112,37 @@ def main() -> None:
         subprocess.run([eddy, "--quiet", "simulate", *simulate], check=True)
         bag = work / "truth" / "scene_0000"  # in free flight for some frames
         particles = len(frames(bag, "/particles", typestore())[0].material)
-        for is_conditioned in (False, True):
-            (work / f"conditioned_{is_conditioned}.toml").write_text(TRAINING.replace("IS_CONDITIONED", str(is_conditioned).lower()))
+        for option, keys in OPTIONS.items():
+            training = {
+                "epochs": 1,
+                "unroll": [{"share": 1.0, "frames": 2}],
+                "network": SIZES | {"channels": SURROUNDINGS["channels"]} | keys,
+                "windows": {"per_epoch": 64},
+                "validation": {"horizon": 4},
+            }
+            (work / f"{option}.toml").write_text(tomli_w.dumps(training))
         own = {
             "frame": {"sizes": SIZES | {"particles": particles}},
             "particle": {"sizes": SIZES, "surroundings": SURROUNDINGS},
         }
-        print("model    core     stiffness by PyTorch  by eddy")
-        rows = [(*row, False) for row in itertools.product(own, CORES)] + [("particle", "mingru", True)]
-        for architecture, core, is_conditioned in rows:
-            name = f"{architecture}_{core}_{is_conditioned}"
+        print("model    core     option    by PyTorch  by eddy")
+        rows = [*itertools.product(own, CORES, ["-"]), ("particle", "mingru", "stiffness"), ("particle", "mingru", "f16")]
+        for architecture, core, option in rows:
+            name = f"{architecture}_{core}_{option}"
             written = work / f"{name}_torch"
-            changes = own[architecture] | ({"stiffness": True} if is_conditioned else {})
-            description = describe(core, architecture=architecture, **changes)
+            description = describe(core, architecture=architecture, **own[architecture], **OPTIONS[option])
             scale = description["normalization"]
             scale["minimum"][2:], scale["maximum"][2:] = [-FASTEST] * 2, [FASTEST] * 2
-            model = network(description)
-            save(model, description, written)
+            save(network(description), description, written)
             trained = work / f"{name}_eddy"
-            train = ["--architecture", architecture, "--core", core, "--config", work / f"conditioned_{is_conditioned}.toml"]
+            train = ["--architecture", architecture, "--core", core, "--config", work / f"{option}.toml"]
             train += ["--data", work / "truth", "--output", trained]
             subprocess.run([eddy, "--quiet", "train", *train], check=True)
             both = [
-                difference(eddy, model, written, bag, work),
+                difference(eddy, load(written), written, bag, work),
                 difference(eddy, load(trained), trained, bag, work),
             ]
-            print(f"{architecture:8} {core:8} {'conditioned' if is_conditioned else '-':11} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
+            print(f"{architecture:8} {core:8} {option:9} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
             apart += both
     raise SystemExit(0 if max(apart) <= NEAR else 1)
 

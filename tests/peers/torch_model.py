@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
+import torch
 from safetensors.torch import load_file, save_file
 
 from torch_core import MATERIALS
@@ -35,7 +36,8 @@ def save(model: Model, description: dict[str, Any], directory: Path) -> None:
     """Write a checkpoint."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "model.toml").write_text(tomli_w.dumps(description))
-    save_file({name: tensor.float() for name, tensor in model.state_dict().items()}, directory / "model.safetensors")
+    format = torch.float16 if description.get("weights") == "f16" else torch.float32
+    save_file({name: tensor.to(format) for name, tensor in model.state_dict().items()}, directory / "model.safetensors")
 
 
 def describe(core: str, sizes: dict[str, int], **changes: Any) -> dict[str, Any]:

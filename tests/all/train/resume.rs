@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_learning::train::{Schedule, TrainConfig, UnrollStage};
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
@@ -38,13 +38,14 @@ fn eventful(architecture: Architecture, core: Core) -> TrainConfig {
 
 #[test]
 fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
-    for (architecture, core) in [
-        (Architecture::Particle, Core::MinGru),
-        (Architecture::Particle, Core::Lstm),
-        (Architecture::Frame, Core::MinLstm),
-        (Architecture::Frame, Core::Mlp),
+    for (architecture, core, weights) in [
+        (Architecture::Particle, Core::MinGru, WeightFormat::F32),
+        (Architecture::Particle, Core::Lstm, WeightFormat::F16),
+        (Architecture::Frame, Core::MinLstm, WeightFormat::F16),
+        (Architecture::Frame, Core::Mlp, WeightFormat::F32),
     ] {
-        let config = eventful(architecture, core);
+        let mut config = eventful(architecture, core);
+        config.network.weights = weights;
         let (once, in_parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let whole = run(&config, &dataset(), once.path()).unwrap();
         let first = interrupted(&config, &dataset(), in_parts.path(), config.batches() + 5);
@@ -53,6 +54,9 @@ fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
         assert_eq!(rest.epochs, whole.epochs, "{architecture:?} {core:?}");
         assert_eq!(rest.best, whole.best);
         same(once.path(), in_parts.path());
+        let format = |folder: &Path| Checkpoint::load(folder).unwrap().description.weights;
+        let both = [format(once.path()), format(&once.path().join("last"))];
+        assert_eq!(both, [weights, WeightFormat::F32]);
     }
 }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     CheckpointError, Rules,
-    network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes},
+    network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules,
 };
 use eddy_frames::{Domain, Material};
@@ -79,6 +79,9 @@ pub struct Description {
     /// input of `encoder.0`, and of `context` before those from the grid.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stiffness: bool,
+    /// Numbers in `model.safetensors`.
+    #[serde(default, skip_serializing_if = "WeightFormat::is_default")]
+    pub weights: WeightFormat,
     /// Time between two frames (s).
     pub dt: f32,
     /// Number of frames to observe before predictions are published.
@@ -119,6 +122,7 @@ impl Description {
             form: Form::default(),
             normalize_gates: true,
             stiffness: false,
+            weights: WeightFormat::default(),
             dt: 0.016,
             warm_up: 2,
             gravity: [0.0, -9.8],

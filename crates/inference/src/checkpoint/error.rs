@@ -55,8 +55,8 @@ pub enum CheckpointError {
         /// The parser's error.
         found: String,
     },
-    /// A tensor is not of type f32.
-    #[error("{}: {tensor}: found numbers of type {found}, expected F32", file.display())]
+    /// A tensor is not of the type that the description says.
+    #[error("{}: {tensor}: found numbers of type {found}, expected {expected}", file.display())]
     NumberType {
         /// The file.
         file: PathBuf,
@@ -64,6 +64,8 @@ pub enum CheckpointError {
         tensor: String,
         /// Its number type.
         found: String,
+        /// The number type of the description's weights.
+        expected: String,
     },
     /// A tensor of the described network is missing.
     #[error("{}: {tensor}: found nothing, expected a tensor of shape {expected:?}", file.display())]

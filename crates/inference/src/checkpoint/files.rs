@@ -15,12 +15,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use half::f16;
 use safetensors::{
     SafeTensors,
     tensor::{Dtype, TensorView},
 };
 
-use super::{CheckpointError, Weights};
+use super::{CheckpointError, WeightFormat, Weights};
 use eddy_settings::{atomic, near};
 
 /// Name of the description within the directory.
@@ -79,24 +80,39 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
     Ok((text, bytes))
 }
 
+/// The number type of a format.
+fn dtype(format: WeightFormat) -> Dtype {
+    match format {
+        WeightFormat::F32 => Dtype::F32,
+        WeightFormat::F16 => Dtype::F16,
+    }
+}
+
 /// The bytes of a safetensors file.
-pub fn render_weights(tensors: &BTreeMap<String, Weights>) -> Vec<u8> {
-    let bytes: Vec<Vec<u8>> = tensors
-        .values()
-        .map(|weights| weights.values.iter().flat_map(|value| value.to_le_bytes()).collect())
-        .collect();
+pub fn render_weights(tensors: &BTreeMap<String, Weights>, format: WeightFormat) -> Vec<u8> {
+    let bytes = |Weights { values, .. }: &Weights| -> Vec<u8> {
+        let values = values.iter();
+        match format {
+            WeightFormat::F32 => values.flat_map(|value| value.to_le_bytes()).collect(),
+            WeightFormat::F16 => {
+                values.flat_map(|&value| f16::from_f32(value).to_le_bytes()).collect()
+            }
+        }
+    };
+    let bytes: Vec<Vec<u8>> = tensors.values().map(bytes).collect();
     let views = tensors.iter().zip(&bytes).map(|((name, weights), bytes)| {
-        let view = TensorView::new(Dtype::F32, weights.shape.clone(), bytes)
-            .expect("four bytes a number, as many as the checked shape holds");
+        let view = TensorView::new(dtype(format), weights.shape.clone(), bytes)
+            .expect("whole numbers, as many as the checked shape holds");
         (name, view)
     });
     safetensors::serialize(views, None).expect("names and shapes are all JSON")
 }
 
-/// The tensors in the bytes of a safetensors file; errors name `file`.
+/// The tensors in the bytes of a safetensors file of a format; errors name `file`.
 pub fn parse_weights(
     file: &Path,
     bytes: &[u8],
+    format: WeightFormat,
 ) -> Result<BTreeMap<String, Weights>, CheckpointError> {
     let parsed = SafeTensors::deserialize(bytes).map_err(|error| CheckpointError::Corrupt {
         file: file.to_owned(),
@@ -104,16 +120,25 @@ pub fn parse_weights(
     })?;
     let mut tensors = BTreeMap::new();
     for (name, view) in parsed.iter() {
-        if view.dtype() != Dtype::F32 {
+        if view.dtype() != dtype(format) {
             return Err(CheckpointError::NumberType {
                 file: file.to_owned(),
                 tensor: name.to_owned(),
                 found: format!("{:?}", view.dtype()),
+                expected: format!("{:?}", dtype(format)),
             });
         }
-        let values =
-            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-        let weights = Weights { shape: view.shape().to_vec(), values: values.collect() };
+        let values = match format {
+            WeightFormat::F32 => {
+                let (numbers, _) = view.data().as_chunks();
+                numbers.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()
+            }
+            WeightFormat::F16 => {
+                let (numbers, _) = view.data().as_chunks();
+                numbers.iter().map(|&bytes| f16::from_le_bytes(bytes).to_f32()).collect()
+            }
+        };
+        let weights = Weights { shape: view.shape().to_vec(), values };
         tensors.insert(name.to_owned(), weights);
     }
     Ok(tensors)

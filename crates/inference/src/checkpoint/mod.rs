@@ -4,7 +4,7 @@
 //!
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
 //!    that correct its predictions (`rules`).
-//! 2. `model.safetensors`, the weights: f32 in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
+//! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
 //!    derives from the description; [`grid`] states the order of the particle model's layers on its grid.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
@@ -29,7 +29,7 @@ pub use initial::initial_weights;
 pub use layout::tensor_shapes;
 pub use network::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
-    MaterialInput, Pooling, Sizes,
+    MaterialInput, Pooling, Sizes, WeightFormat,
 };
 pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
 
@@ -60,9 +60,18 @@ pub struct Weights {
 }
 
 impl Checkpoint {
-    /// A checkpoint that was not calibrated.
-    pub fn new(description: Description, tensors: BTreeMap<String, Weights>) -> Self {
+    /// A checkpoint that was not calibrated. Weights are rounded to the description's [`WeightFormat`], as they are on disk.
+    pub fn new(description: Description, mut tensors: BTreeMap<String, Weights>) -> Self {
+        let format = description.weights;
+        for value in tensors.values_mut().flat_map(|weights| &mut weights.values) {
+            *value = format.rounded(*value);
+        }
         Self { description, tensors, error_model: None }
+    }
+
+    /// The same network with weights of another format.
+    pub fn with_weights(&self, weights: WeightFormat) -> Self {
+        Self::new(Description { weights, ..self.description.clone() }, self.tensors.clone())
     }
 
     /// Writes the checkpoint to `directory`, which is created if necessary. An existing checkpoint is replaced atomically: a
@@ -132,7 +141,7 @@ impl Checkpoint {
         weights: &[u8],
     ) -> Result<Self, CheckpointError> {
         let description = description::parse(&directory.join(DESCRIPTION_FILE), description)?;
-        let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights)?;
+        let tensors = parse_weights(&directory.join(WEIGHTS_FILE), weights, description.weights)?;
         let checkpoint = Self::new(description, tensors);
         checkpoint.check(directory)?;
         Ok(checkpoint)
@@ -175,7 +184,7 @@ impl Checkpoint {
     }
 
     fn render_weights(&self) -> Vec<u8> {
-        render_weights(&self.tensors)
+        render_weights(&self.tensors, self.description.weights)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::ops::RangeInclusive;
 
+use half::f16;
 use serde::{Deserialize, Serialize};
 
 use crate::kernels::nodes::{MAX_LEVELS, MIN_LEVELS};
@@ -74,6 +75,32 @@ pub enum Form {
     /// Candidates pass through g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, which is positive, so that the recurrence can be
     /// computed in logarithms (Feng et al. 2024, appendix B). This is a different model.
     Log,
+}
+
+/// Numbers in which a checkpoint stores weights. Networks compute in f32 whatever it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WeightFormat {
+    /// 32 bits.
+    #[default]
+    F32,
+    /// 16 bits, 11 of them significant (IEEE 754 binary16): half the size, values up to 65504.
+    F16,
+}
+
+impl WeightFormat {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The nearest number that it can hold; infinite if there is none.
+    pub(super) fn rounded(self, value: f32) -> f32 {
+        match self {
+            Self::F32 => value,
+            Self::F16 => f16::from_f32(value).to_f32(),
+        }
+    }
 }
 
 /// How the frame model pools particles.

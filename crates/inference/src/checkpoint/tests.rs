@@ -12,6 +12,7 @@ fn checkpoint() -> Checkpoint {
         form: Form::Plain,
         normalize_gates: true,
         stiffness: false,
+        weights: WeightFormat::F32,
         dt: 0.016,
         warm_up: 5,
         gravity: [0.0, -9.8],
@@ -75,7 +76,7 @@ fn edit_weights(change: impl FnOnce(&mut BTreeMap<String, Weights>)) -> impl FnO
     move |folder| {
         let mut tensors = checkpoint().tensors;
         change(&mut tensors);
-        fs::write(folder.join(WEIGHTS_FILE), render_weights(&tensors)).unwrap();
+        fs::write(folder.join(WEIGHTS_FILE), render_weights(&tensors, WeightFormat::F32)).unwrap();
     }
 }
 
@@ -112,6 +113,43 @@ fn a_checkpoint_conditioned_on_the_stiffness_has_a_key_and_an_input_more() {
     let message = rejection(without);
     let expected = "context.weight: found shape [2, 25], expected [2, 26]";
     assert_eq!(message, format!("x/model.safetensors: {expected}"));
+}
+
+#[test]
+fn weights_of_16_bits_are_rounded_once_and_take_half_the_space() {
+    let folders = [(); 3].map(|()| tempfile::tempdir().unwrap());
+    let mut exact = checkpoint();
+    // Not representable in 16 bits; the nearest numbers are 2^-11 of them away.
+    let name = "context.weight";
+    exact.tensors.get_mut(name).unwrap().values[..3].copy_from_slice(&[0.1, 1.0004, 2049.0]);
+    let half = exact.with_weights(WeightFormat::F16);
+    assert_eq!(half.tensors[name].values[..3], [0.099_975_586, 1.0, 2048.0]);
+    exact.save(folders[0].path()).unwrap();
+    half.save(folders[1].path()).unwrap();
+    let loaded = Checkpoint::load(folders[1].path()).unwrap();
+    assert_eq!(loaded, half);
+    assert_eq!(loaded.digest(), half.digest());
+    let [exact_bytes, half_bytes] = [0, 1].map(|number: usize| {
+        fs::metadata(folders[number].path().join(WEIGHTS_FILE)).unwrap().len() as usize
+    });
+    // But for the header, which names types and places.
+    assert!(exact_bytes - half_bytes > 2 * exact.parameters() - 64);
+    exact.tensors.get_mut(name).unwrap().values[4] = 65_520.0;
+    let error = exact.with_weights(WeightFormat::F16).save(folders[2].path()).unwrap_err();
+    assert!(error.to_string().contains("context.weight"), "{error}");
+    assert!(!folders[2].path().join(WEIGHTS_FILE).exists());
+}
+
+#[test]
+fn weights_of_another_type_than_described_are_named() {
+    let as_half = |folder: &Path| edit_description("dt = ", "weights = \"f16\"\ndt = ")(folder);
+    let expected = "bias: found numbers of type F32, expected F16";
+    assert!(rejection(as_half).contains(expected), "{}", rejection(as_half));
+    let halved = |folder: &Path| {
+        let tensors = checkpoint().tensors;
+        fs::write(folder.join(WEIGHTS_FILE), render_weights(&tensors, WeightFormat::F16)).unwrap();
+    };
+    assert!(rejection(halved).contains("found numbers of type F16, expected F32"));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::TrainError;
 use eddy_inference::checkpoint::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
-    MaterialInput, Pooling, Sizes,
+    MaterialInput, Pooling, Sizes, WeightFormat,
 };
 
 /// Largest width in a checkpoint.
@@ -82,6 +82,9 @@ pub struct NetworkConfig {
     /// Particle model: whether the network is conditioned on the stiffness of each stream, which manifest.json beside its bag must have.
     #[serde(default)]
     pub stiffness: bool,
+    /// Numbers in which the best checkpoint has its weights, and with which it is validated.
+    #[serde(default)]
+    pub weights: WeightFormat,
 }
 
 /// Writes options that a checkpoint omits too: a settings file is read over the defaults, which are others.
@@ -235,6 +238,7 @@ impl NetworkConfig {
             cell_width: 1.0 / 32.0,
             channels: vec![24, 32, 48, 64],
             stiffness: false,
+            weights: WeightFormat::default(),
         }
     }
 }

@@ -6,7 +6,7 @@ use super::{TrainConfig, TrainError};
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Description, FORMAT_VERSION, Rules, TrainingSummary,
+    Architecture, Description, FORMAT_VERSION, Rules, TrainingSummary, WeightFormat,
 };
 
 /// The description of the untrained network.
@@ -40,6 +40,8 @@ pub(super) fn describe(
         form: config.network.form,
         normalize_gates: config.network.normalize_gates,
         stiffness: config.network.stiffness,
+        // Training continues from f32; what is validated and published is rounded.
+        weights: WeightFormat::F32,
         dt: first.dt,
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,

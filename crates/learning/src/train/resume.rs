@@ -28,7 +28,9 @@ use super::{
     state::RunState,
 };
 use crate::model::{dropout::Dropout, layers::Layers, network::Network};
-use eddy_inference::checkpoint::{self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE};
+use eddy_inference::checkpoint::{
+    self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE, WeightFormat,
+};
 use eddy_settings::atomic;
 
 /// Name of the folder with the last epoch, within the output.
@@ -151,7 +153,7 @@ pub(super) fn save(
         let file = new.join(name);
         atomic::write_synced(&file, bytes).map_err(|reason| TrainError::File { file, reason })
     };
-    write(MOMENTS_FILE, &checkpoint::render_weights(&moments))?;
+    write(MOMENTS_FILE, &checkpoint::render_weights(&moments, WeightFormat::F32))?;
     write(RECORD_FILE, record.render().as_bytes())?;
     if folder.exists() {
         remove(&old)?;
@@ -188,9 +190,10 @@ fn remove(folder: &Path) -> Result<(), TrainError> {
     }
 }
 
-/// The checkpoint with the smallest validation loss. If a process ended before writing it to the output, it is copied from
+/// The checkpoint with the smallest validation loss. If a process ended before writing it to the output, it is made from
 /// [`LAST_FOLDER`].
 fn best(output: &Path, record: &Record, last: &Checkpoint) -> Result<Checkpoint, TrainError> {
+    let last = last.with_weights(record.config.network.weights);
     let newest = record.epochs.last().filter(|epoch| epoch.best);
     let none = ![DESCRIPTION_FILE, WEIGHTS_FILE].iter().any(|file| output.join(file).exists());
     if newest.is_some() && none {
@@ -200,7 +203,7 @@ fn best(output: &Path, record: &Record, last: &Checkpoint) -> Result<Checkpoint,
     match newest {
         Some(epoch) if best.description.training.best_epoch != epoch.epoch => {
             last.save(output)?;
-            Ok(last.clone())
+            Ok(last)
         }
         _ => Ok(best),
     }
@@ -260,7 +263,7 @@ fn tensors(
     let file = folder.join(MOMENTS_FILE);
     let bytes =
         fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;
-    let moments = checkpoint::parse_weights(&file, &bytes)?;
+    let moments = checkpoint::parse_weights(&file, &bytes, WeightFormat::F32)?;
     for (file, tensors, expected) in [
         (&folder.join(WEIGHTS_FILE), &last.tensors, &record.weights),
         (&file, &moments, &record.moments),

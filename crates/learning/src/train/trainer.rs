@@ -278,7 +278,8 @@ impl Trainer<'_> {
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
         let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
-        let surrogate = learner.surrogate(&checkpoint)?;
+        let format = config.network.weights;
+        let surrogate = learner.surrogate(&checkpoint.with_weights(format))?;
         let loaded = monitor.elapsed();
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
         let validated = monitor.elapsed();
@@ -314,7 +315,7 @@ impl Trainer<'_> {
             resume::save(self.run, self.config, &self.state, &checkpoint, seconds)?;
         }
         if best {
-            self.state.best = Some(checkpoint);
+            self.state.best = Some(checkpoint.with_weights(format));
             self.has_unsaved_best = true;
         }
         self.unsaved = (!saves).then(|| Boundary::of(&self.state));
