@@ -39,7 +39,7 @@ def test_a_network_is_trained_evaluated_and_used(tmp_path: Path, bags: Path) -> 
         eddy.train(bags, tmp_path / "model", SMALL)
 
 
-def test_a_network_is_told_the_stiffness_of_each_scene_and_of_each_stream(tmp_path: Path) -> None:
+def test_a_network_is_conditioned_on_the_stiffness_of_each_scene_and_of_each_stream(tmp_path: Path) -> None:
     program, bags = Path(sys.executable).with_name("eddy"), tmp_path / "bags"
     scenes = ["--preset", "kinds", "--particles", "250", "--scenes", "10", "--duration", "0.8"]
     subprocess.run([program, "simulate", *scenes, "--stiffness", "300..3e4", "--output", bags], check=True)

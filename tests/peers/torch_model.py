@@ -36,8 +36,8 @@ def save(model: Model, description: dict[str, Any], directory: Path) -> None:
     """Write a checkpoint."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "model.toml").write_text(tomli_w.dumps(description))
-    format = torch.float16 if description.get("weights") == "f16" else torch.float32
-    save_file({name: tensor.to(format) for name, tensor in model.state_dict().items()}, directory / "model.safetensors")
+    dtype = torch.float16 if description.get("weights") == "f16" else torch.float32
+    save_file({name: tensor.to(dtype) for name, tensor in model.state_dict().items()}, directory / "model.safetensors")
 
 
 def describe(core: str, sizes: dict[str, int], **changes: Any) -> dict[str, Any]:

@@ -84,7 +84,7 @@ pub(super) fn at(
 }
 
 /// Advances by `frames` frames and returns the last of them.
-fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, MpmError> {
+pub(super) fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, MpmError> {
     let mut last = None;
     for _ in 0..frames {
         last = simulation.next_frame()?;
@@ -92,101 +92,31 @@ fn advance(simulation: &mut Simulation, frames: u64) -> Result<Option<Frame>, Mp
     Ok(last)
 }
 
-/// What simulating a scene says about a stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Origin {
-    /// The simulation gives the same bits.
-    Here,
-    /// It gives the same frames but for rounding: they were simulated on a GPU, or on another kind of processor.
-    Elsewhere,
-    /// It gives other frames.
-    OtherScene,
-}
-
-/// Largest distance between two positions of a particle that rounding explains in the first two frames (domain lengths).
-const ROUNDING: f32 = 1e-3;
-
-/// Where a stream comes from, by simulating all of its states: the first two of a stream are enough.
-///
-/// # Errors
-/// [`MpmError`] when the scene cannot be simulated.
-pub(super) fn origin(scene: &Scene, stream: &Stream) -> Result<Origin, MpmError> {
-    let mut simulation = simulation(scene, stream, 0)?;
-    advance(&mut simulation, stream.first_sequence)?;
-    let mut origin = Origin::Here;
-    for state in &stream.states {
-        match simulation.next_frame()? {
-            Some(frame) if frame.material == stream.material => {
-                if !is_near(&frame.position, &state.position) {
-                    return Ok(Origin::OtherScene);
-                }
-                if into_state(frame) != *state {
-                    origin = Origin::Elsewhere;
-                }
-            }
-            _ => return Ok(Origin::OtherScene),
-        }
-    }
-    Ok(origin)
-}
-
-fn is_near(found: &[[f32; 2]], expected: &[[f32; 2]]) -> bool {
-    let mut pairs = found.iter().zip(expected);
-    pairs.all(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]) <= ROUNDING)
-}
-
 /// The scene's simulation, long enough for `reach` frames after the end of the stream.
-fn simulation(scene: &Scene, stream: &Stream, reach: usize) -> Result<Simulation, MpmError> {
+pub(super) fn simulation(
+    scene: &Scene,
+    stream: &Stream,
+    reach: usize,
+) -> Result<Simulation, MpmError> {
     let frames = stream.first_sequence as usize + stream.states.len() + reach + 1;
     let duration = frames as f64 * decimal(scene.frames.interval);
     Simulation::new(scene.clone(), &Settings { duration: Some(duration), ..Settings::default() })
 }
 
-fn into_state(frame: Frame) -> State {
+pub(super) fn into_state(frame: Frame) -> State {
     State { position: frame.position, velocity: frame.velocity }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_streams::first_frames;
     use eddy_mpm::Preset;
-
-    /// The first frames of a scene.
-    fn stream(scene: &Scene, frames: usize) -> Stream {
-        let mut simulation = Simulation::new(scene.clone(), &Settings::default()).unwrap();
-        let mut next = || simulation.next_frame().unwrap().unwrap();
-        let first = next();
-        let (domain, material) = (first.domain, first.material.clone());
-        let states = std::iter::once(into_state(first));
-        Stream {
-            id: scene.id,
-            source: "test".into(),
-            dt: scene.frames.interval,
-            domain,
-            material,
-            first_sequence: 0,
-            first_stamp: eddy_frames::Stamp(0),
-            stiffness: None,
-            states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
-        }
-    }
-
-    #[test]
-    fn a_stream_belongs_to_its_own_scene_only_and_may_be_rounded_otherwise() {
-        let scene = |id| Scene::generate(Preset::Kinds, 5, id);
-        let mut stream = stream(&scene(2), 2);
-        assert_eq!(origin(&scene(2), &stream).unwrap(), Origin::Here);
-        assert_eq!(origin(&scene(7), &stream).unwrap(), Origin::OtherScene);
-        for (shift, expected) in [(1e-5, Origin::Elsewhere), (1e-2, Origin::OtherScene)] {
-            stream.states[1].position[7][0] += shift;
-            assert_eq!(origin(&scene(2), &stream).unwrap(), expected);
-        }
-    }
 
     #[test]
     fn a_displaced_simulation_starts_within_a_displacement_of_the_truth() {
         let scene = Scene::generate(Preset::Kinds, 5, 2);
-        let (stream, start) = (stream(&scene, 5), 3);
+        let (stream, start) = (first_frames(&scene, 5), 3);
         let mut rollouts = Vec::new();
         roll_out(&scene, &stream, &[start], 1, &mut |_, rollout| rollouts.push(rollout)).unwrap();
         let found = rollouts[0].states[0].position.iter().zip(&stream.states[start + 1].position);
@@ -198,7 +128,7 @@ mod tests {
     #[test]
     fn rollouts_fail_from_the_first_frame_that_the_scene_does_not_reproduce() {
         let scene = Scene::generate(Preset::Kinds, 5, 2);
-        let mut stream = stream(&scene, 6);
+        let mut stream = first_frames(&scene, 6);
         stream.states[3].position[7][0] += 1e-3;
         let mut diverged = Vec::new();
         let mut keep = |_: usize, rollout: Rollout| diverged.push(rollout.diverged);

@@ -40,6 +40,7 @@ mod predictor;
 mod recorded;
 mod references;
 mod report;
+mod reproduction;
 mod restart;
 mod rollout;
 mod scene;

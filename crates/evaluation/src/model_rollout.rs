@@ -73,7 +73,7 @@ pub(super) fn roll_out_joined_late(
     stepper.check()
 }
 
-/// The hidden state before a frame of a stream, with which it begins, for a network that is conditioned on the stiffness with it.
+/// The hidden state of a stream that begins with frame `first`, with its stiffness if the network is conditioned on it.
 pub(super) fn begin_stream(
     surrogate: &Surrogate,
     stream: &Stream,

@@ -4,8 +4,8 @@
 use rayon::prelude::*;
 
 use super::{
-    EvalError, EvaluationError, Predictor, Restart,
-    chaos::{self, Origin},
+    EvalError, EvaluationError, Predictor, Restart, chaos,
+    reproduction::{FRAMES, Reproduction, reproduction},
 };
 use crate::dataset::{Trajectory, simulate::ScenesBeside};
 use eddy_mpm::Scene;
@@ -46,12 +46,12 @@ impl References {
             Ok(scenes) => scenes,
             Err(reason) => return without(reason),
         };
-        let origins = origins(streams, &scenes)?;
-        let source_of = |origin| {
-            let number = origins.iter().position(|&found| found == origin)?;
+        let reproductions = reproductions(streams, &scenes)?;
+        let first_that_is = |wanted| {
+            let number = reproductions.iter().position(|&found| found == wanted)?;
             Some(streams[number].source.display())
         };
-        if let Some(bag) = source_of(Origin::OtherScene) {
+        if let Some(bag) = first_that_is(Reproduction::Different) {
             return without(format!(
                 "{bag}: the first frames differ from those that its scene in manifest.json gives"
             ));
@@ -69,7 +69,7 @@ impl References {
             }
         }
         if requested.contains(&Reference::Chaos) {
-            match source_of(Origin::Elsewhere) {
+            match first_that_is(Reproduction::Rounded) {
                 Some(bag) => notes.push(format!(
                     "no {}: {bag}: simulating its scene gives other bits, as after `eddy simulate --device cuda`",
                     chaos::NAME
@@ -104,13 +104,16 @@ fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, Evaluati
     Ok(Ok(scenes))
 }
 
-/// Where each stream comes from.
-fn origins(streams: &[Trajectory], scenes: &[Scene]) -> Result<Vec<Origin>, EvaluationError> {
+/// Whether each stream is that of its scene.
+fn reproductions(
+    streams: &[Trajectory],
+    scenes: &[Scene],
+) -> Result<Vec<Reproduction>, EvaluationError> {
     let pairs: Vec<_> = streams.iter().zip(scenes).collect();
-    let origin = |(stream, scene): (&Trajectory, &Scene)| {
-        let first = stream.cut(0..stream.frames.min(2))?;
+    let compare = |(stream, scene): (&Trajectory, &Scene)| {
+        let first = stream.cut(0..stream.frames.min(FRAMES))?;
         let invalid = |reason| EvalError::Solver { stream: stream.id, reason };
-        Ok(chaos::origin(scene, &first).map_err(invalid)?)
+        Ok(reproduction(scene, &first).map_err(invalid)?)
     };
-    pairs.into_par_iter().map(origin).collect()
+    pairs.into_par_iter().map(compare).collect()
 }

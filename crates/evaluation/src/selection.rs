@@ -45,7 +45,7 @@ impl Selection {
         if streams.is_empty() {
             return Err(EvaluationError::Seen);
         }
-        tell_stiffness(descriptions, &mut streams, stiffness)?;
+        set_or_check_stiffness(descriptions, &mut streams, stiffness)?;
         if streams.len() < of_this_set {
             let excluded = of_this_set - streams.len();
             remarks.push(format!(
@@ -69,7 +69,7 @@ impl Selection {
 }
 
 /// Gives all streams their stiffness, or checks that it is known, if a checkpoint is conditioned on it.
-fn tell_stiffness(
+fn set_or_check_stiffness(
     descriptions: &[&Description],
     streams: &mut [Trajectory],
     given: Option<f32>,

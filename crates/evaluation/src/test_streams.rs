@@ -2,12 +2,15 @@
 
 use tempfile::TempDir;
 
-use crate::dataset::{
-    Trajectory, load_trajectories,
-    simulate::{SimulationRequest, Source, simulate},
+use crate::{
+    chaos::into_state,
+    dataset::{
+        Stream, Trajectory, load_trajectories,
+        simulate::{SimulationRequest, Source, simulate},
+    },
 };
-use eddy_frames::progress::Silent;
-use eddy_mpm::{Extent, Settings};
+use eddy_frames::{Stamp, progress::Silent};
+use eddy_mpm::{Extent, Scene, Settings, Simulation};
 
 /// Random scenes of 13 frames, and the folder with their bags.
 pub(crate) fn simulated(extent: Extent, scenes: u32) -> (TempDir, Vec<Trajectory>) {
@@ -27,4 +30,24 @@ pub(crate) fn simulated(extent: Extent, scenes: u32) -> (TempDir, Vec<Trajectory
     let bags = [folder.path().to_owned()];
     let streams = load_trajectories(&bags, u64::MAX, &mut |_, _| ()).unwrap();
     (folder, streams)
+}
+
+/// The first frames of a scene, not from a bag.
+pub(crate) fn first_frames(scene: &Scene, frames: usize) -> Stream {
+    let mut simulation = Simulation::new(scene.clone(), &Settings::default()).unwrap();
+    let mut next = || simulation.next_frame().unwrap().unwrap();
+    let first = next();
+    let (domain, material) = (first.domain, first.material.clone());
+    let states = std::iter::once(into_state(first));
+    Stream {
+        id: scene.id,
+        source: "test".into(),
+        dt: scene.frames.interval,
+        domain,
+        material,
+        first_sequence: 0,
+        first_stamp: Stamp(0),
+        stiffness: None,
+        states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
+    }
 }

@@ -1,9 +1,10 @@
 //! A run that stopped goes on as if it had not.
 
-use std::{fs, path::Path};
+use std::{fs, num::NonZeroUsize, path::Path};
 
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
-use eddy_learning::train::{Schedule, TrainConfig, UnrollStage};
+use eddy_inference::engine::Surrogate;
+use eddy_learning::train::{Schedule, TrainConfig, UnrollStage, rollout_loss};
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
 use crate::support::{Process, eddy, succeed, talking_eddy, wait_for};
@@ -58,6 +59,26 @@ fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
         let both = [format(once.path()), format(&once.path().join("last"))];
         assert_eq!(both, [weights, WeightFormat::F32]);
     }
+}
+
+#[test]
+fn what_is_published_is_what_was_validated() {
+    let mut losses = Vec::new();
+    for weights in [WeightFormat::F32, WeightFormat::F16] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = small(Architecture::Particle, Core::MinGru);
+        (config.epochs, config.network.weights) = (1, weights);
+        let [epoch] = run(&config, &dataset(), folder.path()).unwrap().epochs[..] else {
+            panic!("more than one epoch")
+        };
+        let best = Checkpoint::load(folder.path()).unwrap();
+        let surrogate = Surrogate::load(&best, NonZeroUsize::new(1)).unwrap();
+        let streams = dataset().validation;
+        let loss = rollout_loss(&surrogate, &config.validation, &streams).unwrap();
+        assert_eq!(loss, epoch.validation_loss, "{weights:?}");
+        losses.push(loss);
+    }
+    assert!(losses[0] != losses[1], "rounding changes nothing: {losses:?}");
 }
 
 #[test]
@@ -195,7 +216,7 @@ fn a_best_epoch_that_was_not_yet_in_its_place_is_put_there() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();
     let mut config = small(Architecture::Particle, Core::MinGru);
-    config.epochs = 2;
+    (config.epochs, config.network.weights) = (2, WeightFormat::F16);
     let outcome = run(&config, &dataset(), output).unwrap();
     assert!(outcome.epochs[1].best, "another epoch than the last is the best");
     let paths = ["model.toml", "model.safetensors"].map(|name| output.join(name));

@@ -410,6 +410,20 @@ impl StreamModel for Inference {
 pub type Streams = crate::streams::Streams<Inference>;
 
 impl Streams {
+    /// Takes other weights of the network.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call).
+    ///
+    /// # Panics
+    /// With tensors of another network.
+    pub fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
+        self.alone(|inference| {
+            let weights = inference.layout.pack(tensors);
+            inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))
+        })
+    }
+
     /// Takes the weights that a training on the same device has now, averaged if it keeps an average.
     ///
     /// # Errors

@@ -1,3 +1,5 @@
+use std::fs;
+
 use tempfile::TempDir;
 
 use super::*;
@@ -168,11 +170,46 @@ fn incompatible_requests_are_rejected_by_name() {
 #[test]
 fn without_its_scene_a_stream_is_evaluated_without_solvers() {
     let (folder, streams) = truth();
-    std::fs::remove_file(folder.path().join("manifest.json")).unwrap();
+    fs::remove_file(folder.path().join("manifest.json")).unwrap();
     let references = vec![Reference::Restart];
     let report = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
     assert!(report.notes[0].starts_with("no reference solvers: "), "{:?}", report.notes);
     assert!(report.predictors.iter().all(|entry| entry.role != Role::Solver));
+}
+
+/// The names of the predictors and the notes, after a change of the first scene's first body in the manifest.
+fn with_references_and(change: impl FnOnce(&mut serde_json::Value)) -> (Vec<String>, Vec<String>) {
+    let (folder, streams) = truth();
+    let manifest = folder.path().join("manifest.json");
+    let mut content: serde_json::Value =
+        serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
+    change(&mut content["scenes"][0]["scene"]["bodies"][0]);
+    fs::write(&manifest, content.to_string()).unwrap();
+    let references = vec![Reference::Restart, Reference::Chaos];
+    let report = evaluate(EvaluationRequest { references, ..request(&streams) }).unwrap();
+    (report.predictors.into_iter().map(|entry| entry.name).collect(), report.notes)
+}
+
+#[test]
+fn streams_that_only_rounding_separates_from_their_scenes_have_restarted_solvers() {
+    let scaled = |body: &mut serde_json::Value| {
+        let speed = body["velocity"][1].as_f64().unwrap();
+        body["velocity"][1] = (speed * (1.0 + 1e-5)).into();
+    };
+    let (names, notes) = with_references_and(scaled);
+    assert!(names.iter().any(|name| name == "MPM restarted"), "{names:?}");
+    assert!(!names.iter().any(|name| name == chaos::NAME), "{names:?}");
+    let words = "scene_0000: simulating its scene gives other bits";
+    assert!(
+        notes.iter().any(|note| note.starts_with("no truth") && note.contains(words)),
+        "{notes:?}"
+    );
+
+    let moved = |body: &mut serde_json::Value| body["position"][0] = 0.5.into();
+    let (names, notes) = with_references_and(moved);
+    assert!(!names.iter().any(|name| name.starts_with("MPM")), "{names:?}");
+    let words = "no reference solvers: ";
+    assert!(notes.iter().any(|note| note.starts_with(words)), "{notes:?}");
 }
 
 #[test]

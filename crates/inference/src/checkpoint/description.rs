@@ -75,11 +75,11 @@ pub struct Description {
     /// Whether minLSTM's gates are divided by their sum, f' = f / (f + i), i' = i / (f + i).
     #[serde(default = "normalized", skip_serializing_if = "is_normalized")]
     pub normalize_gates: bool,
-    /// Particle model: whether the network is conditioned on the stiffness of a stream, as one more feature of every particle, the last: another
-    /// input of `encoder.0`, and of `context` before those from the grid.
+    /// Particle model: whether the network is conditioned on the stiffness of a stream, as one more feature of every particle, the
+    /// last: another input of `encoder.0`, and of `context` before those from the grid.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stiffness: bool,
-    /// Numbers in `model.safetensors`.
+    /// Number type of the weights in `model.safetensors`.
     #[serde(default, skip_serializing_if = "WeightFormat::is_default")]
     pub weights: WeightFormat,
     /// Time between two frames (s).

@@ -114,4 +114,18 @@ pub enum CheckpointError {
         /// The value.
         found: f32,
     },
+    /// A weight has more digits than the description's number type.
+    #[error("{}: {tensor}[{index}]: found {found}, expected {expected}, its nearest 16-bit number", file.display())]
+    NotRounded {
+        /// The file.
+        file: PathBuf,
+        /// The tensor.
+        tensor: String,
+        /// Place of the weight in it.
+        index: usize,
+        /// The weight.
+        found: f32,
+        /// The weight rounded.
+        expected: f32,
+    },
 }

@@ -102,7 +102,7 @@ pub fn render_weights(tensors: &BTreeMap<String, Weights>, format: WeightFormat)
     let bytes: Vec<Vec<u8>> = tensors.values().map(bytes).collect();
     let views = tensors.iter().zip(&bytes).map(|((name, weights), bytes)| {
         let view = TensorView::new(dtype(format), weights.shape.clone(), bytes)
-            .expect("whole numbers, as many as the checked shape holds");
+            .expect("the bytes of as many numbers as the checked shape holds");
         (name, view)
     });
     safetensors::serialize(views, None).expect("names and shapes are all JSON")

@@ -170,6 +170,17 @@ pub(super) fn check(
             let found = found.values[index];
             return Err(CheckpointError::NotFinite { file: file(), tensor, index, found });
         }
+        let rounded = |&value: &f32| description.weights.rounded(value);
+        if let Some(index) = found.values.iter().position(|value| rounded(value) != *value) {
+            let (found, expected) = (found.values[index], rounded(&found.values[index]));
+            return Err(CheckpointError::NotRounded {
+                file: file(),
+                tensor,
+                index,
+                found,
+                expected,
+            });
+        }
     }
     match tensors.iter().find(|(name, _)| !shapes.contains_key(*name)) {
         None => Ok(()),

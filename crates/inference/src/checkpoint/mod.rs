@@ -4,8 +4,8 @@
 //!
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
 //!    that correct its predictions (`rules`).
-//! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]`, with the names and shapes that [`layout`]
-//!    derives from the description; [`grid`] states the order of the particle model's layers on its grid.
+//! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]`, with the names
+//!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
 //! `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
@@ -60,18 +60,19 @@ pub struct Weights {
 }
 
 impl Checkpoint {
-    /// A checkpoint that was not calibrated. Weights are rounded to the description's [`WeightFormat`], as they are on disk.
-    pub fn new(description: Description, mut tensors: BTreeMap<String, Weights>) -> Self {
-        let format = description.weights;
-        for value in tensors.values_mut().flat_map(|weights| &mut weights.values) {
-            *value = format.rounded(*value);
-        }
+    /// A checkpoint that was not calibrated.
+    pub fn new(description: Description, tensors: BTreeMap<String, Weights>) -> Self {
         Self { description, tensors, error_model: None }
     }
 
-    /// The same network with weights of another format.
-    pub fn with_weights(&self, weights: WeightFormat) -> Self {
-        Self::new(Description { weights, ..self.description.clone() }, self.tensors.clone())
+    /// The same network, not calibrated, with its weights rounded to a number type.
+    pub fn with_weights(&self, format: WeightFormat) -> Self {
+        let description = Description { weights: format, ..self.description.clone() };
+        let mut tensors = self.tensors.clone();
+        for value in tensors.values_mut().flat_map(|weights| &mut weights.values) {
+            *value = format.rounded(*value);
+        }
+        Self::new(description, tensors)
     }
 
     /// Writes the checkpoint to `directory`, which is created if necessary. An existing checkpoint is replaced atomically: a
@@ -148,11 +149,11 @@ impl Checkpoint {
     }
 
     /// Checks the values of the description, and that the weights match it: no tensor is missing or unexpected, and each is
-    /// finite and has its shape. Errors name `directory`.
+    /// finite, of the described number type, and has its shape. Errors name `directory`.
     ///
     /// # Errors
     /// [`CheckpointError::Field`], [`CheckpointError::Missing`], [`CheckpointError::Unexpected`],
-    /// [`CheckpointError::Shape`], [`CheckpointError::NotFinite`].
+    /// [`CheckpointError::Shape`], [`CheckpointError::NotFinite`], [`CheckpointError::NotRounded`].
     pub fn check(&self, directory: &Path) -> Result<(), CheckpointError> {
         description::check(&directory.join(DESCRIPTION_FILE), &self.description)?;
         layout::check(&directory.join(WEIGHTS_FILE), &self.description, &self.tensors)

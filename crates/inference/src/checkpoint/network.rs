@@ -77,14 +77,14 @@ pub enum Form {
     Log,
 }
 
-/// Numbers in which a checkpoint stores weights. Networks compute in f32 whatever it is.
+/// Number type of a checkpoint's weights. Networks compute in f32 with either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WeightFormat {
     /// 32 bits.
     #[default]
     F32,
-    /// 16 bits, 11 of them significant (IEEE 754 binary16): half the size, values up to 65504.
+    /// 16 bits, 11 of them significant (IEEE 754 binary16): half the size, values up to 65504, to which larger ones are limited.
     F16,
 }
 
@@ -94,11 +94,14 @@ impl WeightFormat {
         *self == Self::default()
     }
 
-    /// The nearest number that it can hold; infinite if there is none.
+    /// The nearest number of this type.
     pub(super) fn rounded(self, value: f32) -> f32 {
         match self {
             Self::F32 => value,
-            Self::F16 => f16::from_f32(value).to_f32(),
+            Self::F16 => {
+                let limit = f16::MAX.to_f32();
+                f16::from_f32(value.clamp(-limit, limit)).to_f32()
+            }
         }
     }
 }

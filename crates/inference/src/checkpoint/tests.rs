@@ -119,11 +119,11 @@ fn a_checkpoint_conditioned_on_the_stiffness_has_a_key_and_an_input_more() {
 fn weights_of_16_bits_are_rounded_once_and_take_half_the_space() {
     let folders = [(); 3].map(|()| tempfile::tempdir().unwrap());
     let mut exact = checkpoint();
-    // Not representable in 16 bits; the nearest numbers are 2^-11 of them away.
+    // 2^-12, 2^-11 and 2^-11 away from the nearest 16-bit numbers, relatively; the last one is beyond the largest.
     let name = "context.weight";
-    exact.tensors.get_mut(name).unwrap().values[..3].copy_from_slice(&[0.1, 1.0004, 2049.0]);
+    exact.tensors.get_mut(name).unwrap().values[..4].copy_from_slice(&[0.1, 1.0004, 2049.0, -7e4]);
     let half = exact.with_weights(WeightFormat::F16);
-    assert_eq!(half.tensors[name].values[..3], [0.099_975_586, 1.0, 2048.0]);
+    assert_eq!(half.tensors[name].values[..4], [0.099_975_586, 1.0, 2048.0, -65_504.0]);
     exact.save(folders[0].path()).unwrap();
     half.save(folders[1].path()).unwrap();
     let loaded = Checkpoint::load(folders[1].path()).unwrap();
@@ -134,9 +134,10 @@ fn weights_of_16_bits_are_rounded_once_and_take_half_the_space() {
     });
     // But for the header, which names types and places.
     assert!(exact_bytes - half_bytes > 2 * exact.parameters() - 64);
-    exact.tensors.get_mut(name).unwrap().values[4] = 65_520.0;
-    let error = exact.with_weights(WeightFormat::F16).save(folders[2].path()).unwrap_err();
-    assert!(error.to_string().contains("context.weight"), "{error}");
+    exact.description.weights = WeightFormat::F16;
+    let error = exact.save(folders[2].path()).unwrap_err().to_string();
+    let expected = "context.weight[0]: found 0.1, expected 0.099975586, its nearest 16-bit number";
+    assert!(error.ends_with(expected), "{error}");
     assert!(!folders[2].path().join(WEIGHTS_FILE).exists());
 }
 

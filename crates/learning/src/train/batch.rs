@@ -29,10 +29,10 @@ impl Batch {
     ) -> Self {
         let material: Vec<_> = windows.iter().flat_map(|w| w.material.iter().copied()).collect();
         let rest: Vec<_> = windows.iter().flat_map(|window| window.rest.iter().copied()).collect();
-        let conditioned =
+        let known_stiffness =
             |window: &Window| window.stiffness.expect("checked before a training begins");
         let stiffness: Option<Vec<_>> =
-            description.stiffness.then(|| windows.iter().map(conditioned).collect());
+            description.stiffness.then(|| windows.iter().map(known_stiffness).collect());
         let unroll = windows[0].states.len() - warm_up;
         let weights: Vec<_> = windows.iter().map(|window| scale.weights(window, unroll)).collect();
         let rows: usize = windows.iter().map(|window| window.material.len()).sum();

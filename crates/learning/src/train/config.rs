@@ -82,7 +82,7 @@ pub struct NetworkConfig {
     /// Particle model: whether the network is conditioned on the stiffness of each stream, which manifest.json beside its bag must have.
     #[serde(default)]
     pub stiffness: bool,
-    /// Numbers in which the best checkpoint has its weights, and with which it is validated.
+    /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
     #[serde(default)]
     pub weights: WeightFormat,
 }

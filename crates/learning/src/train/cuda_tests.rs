@@ -26,7 +26,7 @@ use eddy_frames::{Domain, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, FrameOutput,
-        MaterialInput, Pooling, Weights, layout::linear_layers,
+        MaterialInput, Pooling, WeightFormat, Weights, layout::linear_layers,
     },
     engine::{Ballistic, Surrogate},
 };
@@ -282,6 +282,12 @@ fn the_default_training_takes_the_steps_of_the_cpu() {
     compare(&config, FeatureScaling::MinMax);
 }
 
+/// The largest difference of two components.
+fn apart(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
+    let pairs = a.as_flattened().iter().zip(b.as_flattened());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
 #[test]
 fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
@@ -319,17 +325,19 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
             let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
-            let checkpoint = checkpoint(&state);
-            let found = learner.surrogate(&checkpoint).unwrap();
-            let expected = Surrogate::load(&checkpoint, None).unwrap();
             let first = streams[0].cut(0..1).unwrap().frame(0);
-            let [found, expected] = [found, expected].map(|surrogate| {
-                let mut hidden = surrogate.start(&first).unwrap();
-                surrogate.stepper().step(&mut hidden, &first).velocity
+            let [exact, rounded] = [WeightFormat::F32, WeightFormat::F16].map(|format| {
+                let checkpoint = checkpoint(&state).with_weights(format);
+                let found = learner.surrogate(&checkpoint).unwrap();
+                let expected = Surrogate::load(&checkpoint, None).unwrap();
+                let [found, expected] = [found, expected].map(|surrogate| {
+                    let mut hidden = surrogate.start(&first).unwrap();
+                    surrogate.stepper().step(&mut hidden, &first).velocity
+                });
+                assert!(apart(&found, &expected) < 1e-5, "a model for validation, {format:?}");
+                expected
             });
-            for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
-                assert!((found - expected).abs() < 1e-5, "a model for validation");
-            }
+            assert!(apart(&exact, &rounded) > 1e-5, "rounding changes nothing");
         }
         (state, losses)
     };

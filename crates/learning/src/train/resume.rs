@@ -4,7 +4,7 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `model.toml`, `model.safetensors` | the checkpoint of the last epoch |
+//! | `model.toml`, `model.safetensors` | the checkpoint of the last epoch, always with f32 weights |
 //! | `resume.toml` | settings, random generators, all epochs, counters, checksums |
 //! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, `[in, out]`; if the checkpoint contains averaged weights, also the weights themselves, `weight.NAME`, in the layout of checkpoints |
 //!

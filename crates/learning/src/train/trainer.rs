@@ -278,8 +278,8 @@ impl Trainer<'_> {
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
         let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
-        let format = config.network.weights;
-        let surrogate = learner.surrogate(&checkpoint.with_weights(format))?;
+        let rounded = |exact: &Checkpoint| exact.with_weights(config.network.weights);
+        let surrogate = learner.surrogate(&rounded(&checkpoint))?;
         let loaded = monitor.elapsed();
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
         let validated = monitor.elapsed();
@@ -315,7 +315,7 @@ impl Trainer<'_> {
             resume::save(self.run, self.config, &self.state, &checkpoint, seconds)?;
         }
         if best {
-            self.state.best = Some(checkpoint.with_weights(format));
+            self.state.best = Some(rounded(&checkpoint));
             self.has_unsaved_best = true;
         }
         self.unsaved = (!saves).then(|| Boundary::of(&self.state));

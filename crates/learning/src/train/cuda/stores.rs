@@ -13,7 +13,7 @@ use eddy_cuda::{
 };
 use eddy_evaluation::dataset::Trajectory;
 use eddy_inference::{
-    checkpoint::{Architecture, Checkpoint, Description},
+    checkpoint::{Architecture, Checkpoint, Description, WeightFormat},
     engine::{Accelerator, Surrogate, scales::stiffness_feature},
     kernels::rest_shape::RestShape,
 };
@@ -192,8 +192,12 @@ impl Validation {
     ) -> Result<Surrogate, TrainError> {
         let streams: Arc<dyn Accelerator> = match self {
             Self::Frame(streams) => {
-                if let Some(training) = training {
-                    streams.copy_weights(training)?;
+                match training {
+                    // Without a detour through the host.
+                    Some(training) if checkpoint.description.weights == WeightFormat::F32 => {
+                        streams.copy_weights(training)?;
+                    }
+                    _ => streams.set_weights(&checkpoint.tensors)?,
                 }
                 Arc::new(streams.clone())
             }
