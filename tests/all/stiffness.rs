@@ -1,4 +1,4 @@
-//! A network that is conditioned on the stiffness of a stream: where the stiffness comes from, and what is said where it is missing.
+//! Networks conditioned on the stiffness of a stream: the sources of the stiffness, and the errors without one.
 
 use std::{fs, path::Path};
 

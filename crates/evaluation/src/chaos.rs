@@ -55,14 +55,14 @@ fn simulate(
         let frame = advance(&mut simulation, wanted - done).map_err(of_solver)?;
         done = wanted;
         let observed = &stream.states[start];
-        if frame.map(into_state).as_ref() != Some(observed) {
+        if frame.map(State::from).as_ref() != Some(observed) {
             return Err(EvalError::OtherTruth { stream: stream.id, frame: start });
         }
         let mut other = simulation.clone();
         let range = -DISPLACEMENT..DISPLACEMENT;
         let displacement = || [rng.random_range(range.clone()), rng.random_range(range.clone())];
         other.displace(displacement).map_err(of_solver)?;
-        let next = || other.next_frame().ok().flatten().map(into_state);
+        let next = || other.next_frame().ok().flatten().map(State::from);
         each(number, Rollout::collect(observed, reach, next));
     }
     Ok(())
@@ -101,10 +101,6 @@ pub(super) fn simulation(
     let frames = stream.first_sequence as usize + stream.states.len() + reach + 1;
     let duration = frames as f64 * decimal(scene.frames.interval);
     Simulation::new(scene.clone(), &Settings { duration: Some(duration), ..Settings::default() })
-}
-
-pub(super) fn into_state(frame: Frame) -> State {
-    State { position: frame.position, velocity: frame.velocity }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Whether simulating a scene gives a recorded stream again: solvers may be restarted from its frames only if it is that scene's.
 
 use super::chaos;
-use crate::dataset::Stream;
+use crate::dataset::{State, Stream};
 use eddy_mpm::{MpmError, Scene};
 
 /// How the frames that a scene gives here differ from those of a stream.
@@ -35,7 +35,7 @@ pub(super) fn reproduction(scene: &Scene, stream: &Stream) -> Result<Reproductio
         if frame.material != stream.material || !are_near(&frame.position, &state.position) {
             return Ok(Reproduction::Different);
         }
-        if chaos::into_state(frame) != *state {
+        if State::from(frame) != *state {
             outcome = Reproduction::Rounded;
         }
     }

@@ -171,34 +171,13 @@ pub fn evaluate_scene(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        Baseline, Settings,
-        dataset::{Bounds, State},
-    };
-    use eddy_frames::Stamp;
+    use crate::{Baseline, Settings, dataset::Bounds, test_streams::first_frames};
     use eddy_inference::{checkpoint::Checkpoint, kernels::spacing::spacing};
-    use eddy_mpm::{self as mpm, Preset, Simulation};
+    use eddy_mpm::Preset;
 
     /// The first frames of a scene of liquid, as they are simulated.
     fn liquid(frames: usize) -> Stream {
-        let scene = Scene::generate(Preset::Kinds, 5, 0);
-        let mut simulation = Simulation::new(scene.clone(), &mpm::Settings::default()).unwrap();
-        let frames: Vec<_> =
-            (0..frames).map(|_| simulation.next_frame().unwrap().unwrap()).collect();
-        Stream {
-            id: scene.id,
-            source: "test".into(),
-            dt: scene.frames.interval,
-            domain: frames[0].domain,
-            material: frames[0].material.clone(),
-            first_sequence: 0,
-            first_stamp: Stamp(0),
-            stiffness: None,
-            states: frames
-                .into_iter()
-                .map(|frame| State { position: frame.position, velocity: frame.velocity })
-                .collect(),
-        }
+        first_frames(&Scene::generate(Preset::Kinds, 5, 0), frames)
     }
 
     fn context(stream: &Stream, settings: Settings) -> Context {

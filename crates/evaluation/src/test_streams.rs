@@ -1,15 +1,14 @@
 //! Simulated streams for unit tests.
 
+use std::path::Path;
+
 use tempfile::TempDir;
 
-use crate::{
-    chaos::into_state,
-    dataset::{
-        Stream, Trajectory, load_trajectories,
-        simulate::{SimulationRequest, Source, simulate},
-    },
+use crate::dataset::{
+    State, Stream, Trajectory, load_trajectories,
+    simulate::{SimulationRequest, Source, simulate},
 };
-use eddy_frames::{Stamp, progress::Silent};
+use eddy_frames::progress::Silent;
 use eddy_mpm::{Extent, Scene, Settings, Simulation};
 
 /// Random scenes of 13 frames, and the folder with their bags.
@@ -36,18 +35,7 @@ pub(crate) fn simulated(extent: Extent, scenes: u32) -> (TempDir, Vec<Trajectory
 pub(crate) fn first_frames(scene: &Scene, frames: usize) -> Stream {
     let mut simulation = Simulation::new(scene.clone(), &Settings::default()).unwrap();
     let mut next = || simulation.next_frame().unwrap().unwrap();
-    let first = next();
-    let (domain, material) = (first.domain, first.material.clone());
-    let states = std::iter::once(into_state(first));
-    Stream {
-        id: scene.id,
-        source: "test".into(),
-        dt: scene.frames.interval,
-        domain,
-        material,
-        first_sequence: 0,
-        first_stamp: Stamp(0),
-        stiffness: None,
-        states: states.chain((1..frames).map(|_| into_state(next()))).collect(),
-    }
+    let mut stream = Stream::begin(Path::new("test"), next());
+    stream.states.extend((1..frames).map(|_| State::from(next())));
+    stream
 }

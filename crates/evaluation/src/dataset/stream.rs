@@ -13,6 +13,12 @@ pub struct State {
     pub velocity: Vec<[f32; 2]>,
 }
 
+impl From<Frame> for State {
+    fn from(frame: Frame) -> Self {
+        Self { position: frame.position, velocity: frame.velocity }
+    }
+}
+
 /// Consecutive frames of one simulated trajectory.
 #[derive(Clone, Debug)]
 pub struct Stream {
@@ -37,7 +43,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    pub(super) fn begin(source: &Path, frame: Frame) -> Self {
+    pub(crate) fn begin(source: &Path, frame: Frame) -> Self {
         Self {
             id: frame.stream,
             source: source.to_owned(),

@@ -193,17 +193,18 @@ fn remove(folder: &Path) -> Result<(), TrainError> {
 /// The checkpoint with the smallest validation loss. If a process ended before writing it to the output, it is made from
 /// [`LAST_FOLDER`].
 fn best(output: &Path, record: &Record, last: &Checkpoint) -> Result<Checkpoint, TrainError> {
-    let last = last.with_weights(record.config.network.weights);
+    let published = || last.with_weights(record.config.network.weights);
     let newest = record.epochs.last().filter(|epoch| epoch.best);
     let none = ![DESCRIPTION_FILE, WEIGHTS_FILE].iter().any(|file| output.join(file).exists());
     if newest.is_some() && none {
-        last.save(output)?;
+        published().save(output)?;
     }
     let best = Checkpoint::load(output)?;
     match newest {
         Some(epoch) if best.description.training.best_epoch != epoch.epoch => {
-            last.save(output)?;
-            Ok(last)
+            let best = published();
+            best.save(output)?;
+            Ok(best)
         }
         _ => Ok(best),
     }

@@ -278,8 +278,8 @@ impl Trainer<'_> {
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
         let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
-        let rounded = |exact: &Checkpoint| exact.with_weights(config.network.weights);
-        let surrogate = learner.surrogate(&rounded(&checkpoint))?;
+        let mut published = checkpoint.with_weights(config.network.weights);
+        let surrogate = learner.surrogate(&published)?;
         let loaded = monitor.elapsed();
         let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
         let validated = monitor.elapsed();
@@ -298,6 +298,7 @@ impl Trainer<'_> {
             best,
         };
         epoch.summarize(&mut checkpoint.description.training);
+        epoch.summarize(&mut published.description.training);
         state.epochs.push(epoch);
         state.since_best = if best { 0 } else { state.since_best + 1 };
         let elapsed = monitor.elapsed();
@@ -315,7 +316,7 @@ impl Trainer<'_> {
             resume::save(self.run, self.config, &self.state, &checkpoint, seconds)?;
         }
         if best {
-            self.state.best = Some(rounded(&checkpoint));
+            self.state.best = Some(published);
             self.has_unsaved_best = true;
         }
         self.unsaved = (!saves).then(|| Boundary::of(&self.state));
