@@ -108,7 +108,7 @@ pub fn render_weights(tensors: &BTreeMap<String, Weights>, format: WeightFormat)
     safetensors::serialize(views, None).expect("names and shapes are all JSON")
 }
 
-/// The tensors in the bytes of a safetensors file of a format; errors name `file`.
+/// The tensors in the bytes of a safetensors file of a format; errors name `file` and the first tensor, by name, of another type.
 pub fn parse_weights(
     file: &Path,
     bytes: &[u8],
@@ -119,7 +119,8 @@ pub fn parse_weights(
         found: error.to_string(),
     })?;
     let mut tensors = BTreeMap::new();
-    for (name, view) in parsed.iter() {
+    // By name, as the library's own order is another in each run.
+    for (name, view) in parsed.iter().collect::<BTreeMap<_, _>>() {
         if view.dtype() != dtype(format) {
             return Err(CheckpointError::NumberType {
                 file: file.to_owned(),
