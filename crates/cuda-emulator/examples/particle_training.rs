@@ -1,5 +1,5 @@
 //! The particle model's training on a GPU: `check` compares small networks of every core with the emulator and two runs with each
-//! other; `time` times steps of the usual network; `profile` adds the times of its kernels up, launched one after the other;
+//! other, minGRU with Muon too; `time` times steps of the usual network, `time muon` with Muon; `profile` adds the times of its kernels up, launched one after the other;
 //! `once` takes one step, for a profiler.
 
 #![expect(unsafe_code, reason = "a device that passes launches on")]
@@ -139,6 +139,7 @@ impl Problem {
             .map(|step| Batch {
                 windows: (0..batch).map(|i| window(i + step * batch)).collect(),
                 rate: 1e-3 / (1.0 - 0.9f32.powi(step as i32)),
+                plain_rate: 1e-3,
                 correction: 1.0 / (1.0 - 0.999f32.powi(step as i32)).sqrt(),
                 kept: 0.5,
                 dropout: [0; 32],
@@ -168,8 +169,9 @@ fn usual() -> Sizes {
 }
 
 fn check() -> Result<()> {
-    for core in Core::ALL {
-        let settings = Settings { epsilon: 1e-4, ..settings(3, 3, 3) };
+    let all = Core::ALL.map(|core| (core, false)).into_iter().chain([(Core::MinGru, true)]);
+    for (core, muon) in all {
+        let settings = Settings { epsilon: 1e-4, muon, ..settings(3, 3, 3) };
         let problem = Problem::new(core, usual(), 5, settings);
         let constants = TrainingConstants::of(&problem.description)?;
         let emulator = Arc::new(Emulator::new(&constants)?);
@@ -196,8 +198,9 @@ fn check() -> Result<()> {
         let again = run(Arc::new(gpu()?))?;
         let (gradient, weights) = (worst(&found.1, &expected.1), worst(&found.2, &expected.2));
         println!(
-            "{}: relative errors: gradient {gradient:.1e}, at most {most:.1e}; weights after 4 steps {weights:.1e}",
-            core.name()
+            "{}{}: relative errors: gradient {gradient:.1e}, at most {most:.1e}; weights after 4 steps {weights:.1e}",
+            core.name(),
+            if muon { ", Muon" } else { "" }
         );
         if gradient > most || most > 1e-3 {
             return Err(format!(
@@ -215,12 +218,15 @@ fn check() -> Result<()> {
     Ok(())
 }
 
-/// Of the named cores, of all by default.
+/// Of the named cores, of all by default; with Muon if that is named, too.
 fn time(names: &[String]) -> Result<()> {
-    let is_named = |core: &Core| names.is_empty() || names.iter().any(|name| name == core.name());
+    let (muon, names): (Vec<_>, Vec<_>) = names.iter().partition(|name| *name == "muon");
+    let muon = !muon.is_empty();
+    let is_named = |core: &Core| names.is_empty() || names.iter().any(|name| *name == core.name());
     for core in Core::ALL.into_iter().filter(is_named) {
         for unroll in [2, 6, 14, 24] {
-            let problem = Problem::new(core, usual(), 25, settings(16, WARM_UP, unroll));
+            let settings = Settings { muon, ..settings(16, WARM_UP, unroll) };
+            let problem = Problem::new(core, usual(), 25, settings);
             let constants = TrainingConstants::of(&problem.description)?;
             let cache = Some("/tmp/kernels".as_ref());
             let gpu = Arc::new(Gpu::new(0, &constants, Precision::Fp32, cache)?);

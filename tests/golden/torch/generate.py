@@ -18,10 +18,12 @@ Its tensors are
     change.*                     change of the weights after ten steps of Adam
 
 all computed in float64 and stored as f32 (loss: f64). `checkpoints/CORE/` contains a checkpoint written by PyTorch
-and `frames.safetensors`: input frames, [T, N, 2], and the prediction after each of them. `VERSIONS` lists the
-versions used.
+and `frames.safetensors`: input frames, [T, N, 2], and the prediction after each of them. `muon/steps.safetensors`
+contains gradients of matrices, `gradient.NAME`, [steps, out, in], and how far torch.optim.Muon has moved these after each
+step, `change.NAME`, with float64 in place of the bfloat16 in its iteration. `VERSIONS` lists the versions used.
 """
 
+import inspect
 import json
 import platform
 import sys
@@ -32,6 +34,7 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 from torch import Tensor
+from torch.optim import _muon
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1] / "peers"))
@@ -43,6 +46,7 @@ SIZES = {"encoder": 7, "hidden": 6, "layers": 2, "particles": PARTICLES}
 # One more than a multiple of the SIMD width.
 WIDE = {"encoder": 33, "hidden": 17, "layers": 1, "particles": PARTICLES}
 STEPS, LEARNING_RATE, EPSILON = 10, 1e-3, 1e-8
+MUON_STEPS = 3
 
 TEACHER = {"warm_up": 4, "observed_weight": 1.0, "clip": None}
 UNROLL = {"warm_up": 3, "observed_weight": 0.5, "clip": 3e-4}
@@ -236,6 +240,28 @@ def checkpoint(core: str) -> None:
     save_file({name: tensor.contiguous() for name, tensor in data.items()}, directory / "frames.safetensors")
 
 
+def muon() -> None:
+    """Write the changes of matrices by steps of Muon, the size of whose steps is that of Adam's."""
+    torch.manual_seed(zlib.crc32(b"muon"))
+    iteration = inspect.getsource(_muon._zeropower_via_newtonschulz)
+    exec(iteration.replace("torch.bfloat16", "torch.float64"), vars(_muon))
+    data = {}
+    for name, shape in {"tall": (24, 10), "wide": (7, 40), "square": (12, 12)}.items():
+        # Singular values from 1 to .01.
+        left, _, right = torch.linalg.svd(torch.randn(MUON_STEPS, *shape).double(), full_matrices=False)
+        gradients = (left * torch.logspace(0, -2, min(shape)) @ right).float()
+        matrix = torch.nn.Parameter(torch.zeros(shape).double())
+        optimizer = torch.optim.Muon([matrix], LEARNING_RATE, weight_decay=0, adjust_lr_fn="match_rms_adamw")
+        changes = []
+        for gradient in gradients:
+            matrix.grad = gradient.double()
+            optimizer.step()
+            changes.append(matrix.detach().float())
+        data |= {f"gradient.{name}": gradients.contiguous(), f"change.{name}": torch.stack(changes)}
+    (HERE / "muon").mkdir(exist_ok=True)
+    save_file(data, HERE / "muon" / "steps.safetensors")
+
+
 def write(rows: list[tuple[str, str, dict[str, Any], dict[str, Any]]], defaults: dict[str, Any]) -> None:
     """Write the files of some rows."""
     for name, core, changes, training in rows:
@@ -251,6 +277,7 @@ def main() -> None:
     write(ROWS, {"sizes": SIZES})
     for core in CORES:
         checkpoint(core)
+    muon()
     sizes = {name: size for name, size in SIZES.items() if name != "particles"}
     write(PARTICLE_ROWS, {"architecture": "particle", "sizes": sizes, "surroundings": SURROUNDINGS})
     found = {"python": platform.python_version(), "torch": torch.__version__, "machine": platform.machine()}

@@ -133,6 +133,10 @@ impl Training {
             let setting = format!("truncation = {truncation} for the frame model");
             return Err(CudaError::Unsupported { setting, expected: "0" });
         }
+        if settings.muon {
+            let setting = "optimizer.kind = muon for the frame model".to_owned();
+            return Err(CudaError::Unsupported { setting, expected: "adam" });
+        }
         // Blocks of grids along y, and of the encoder's along z.
         let along_z = warm_up * constants.encoder.div_ceil(256);
         for (setting, found) in [

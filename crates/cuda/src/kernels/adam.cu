@@ -7,6 +7,7 @@ struct Place {
   int rows, columns;
   int bias, width;
   int tensor, tensors; // the first one, and how many
+  int orthogonal;      // 1: Muon changes the weights, Adam the biases only
 };
 
 // Sums of squares of the gradients: [tensors, CHUNKS], zero where there is no block. grid (at most CHUNKS, most tensors, matrices),
@@ -43,6 +44,7 @@ extern "C" __global__ void __launch_bounds__(256) adam(const Place* __restrict__
   if (number >= place.rows * wide) return;
   const Schedule& now = schedule[progress->step];
   const u32 row = number / wide, column = 4 * (number % wide), i = place.first / 4 + number;
+  if (place.orthogonal && (int)row < place.bias) return;
   const float scale = scales[place.tensor + 2 * (column / place.width) + ((int)row == place.bias)];
   if (scale == 0.0f) return; // a gradient that is not finite tells no direction; the host ends the run
   const float rate = now.rate, correction = now.correction;

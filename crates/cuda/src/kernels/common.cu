@@ -67,7 +67,7 @@ struct Schedule {
   float rate;        // learning rate, corrected for the first moment's start from zero
   float correction;  // 1 / sqrt(1 - beta_2^t)
   float kept;        // share of the weights' running average that stays
-  u32 unused;
+  float plain_rate;  // learning rate as it is
   u32 dropout[8];    // key of the generator of dropout masks
 };
 
@@ -105,7 +105,7 @@ __device__ __forceinline__ float activation_slope(float y) {
 #endif
 }
 
-// Sum over a block of 256 threads, in a fixed order; thread 0 has it.
+// Sum over a block of 256 threads, in a fixed order; every thread has it.
 __device__ __forceinline__ float block_sum(float v) {
   __shared__ float sums[256];
   sums[threadIdx.x] = v;

@@ -44,6 +44,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("observed.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
+    include_str!("muon.cu"),
     include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
@@ -148,6 +149,12 @@ kernels! {
     Clip = "clip",
     /// Adam.
     Adam = "adam",
+    /// Muon: the momentum and its small product.
+    MuonGram = "muon_gram",
+    /// Its polynomial.
+    MuonPolynomial = "muon_polynomial",
+    /// The change of the weights.
+    Muon = "muon",
     /// The end of a step.
     Finish = "finish",
     /// A batch of streams, from the memory of the host.

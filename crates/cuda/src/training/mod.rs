@@ -3,10 +3,11 @@
 //! 1. `window`: pieces of streams. `settings`: what a step is made of, and what comes of it.
 //! 2. `packing`: where tensors are in the memory of a device.
 //! 3. `tables`: what changes from step to step, in the memory of the device, so that one recorded step serves all.
-//! 4. `optimizer`: weights, their gradients, Adam.
+//! 4. `optimizer`: weights, their gradients, Adam. `muon`: Muon.
 //! 5. `counter`: the memory that a training needs.
 
 mod counter;
+mod muon;
 mod optimizer;
 mod packing;
 mod settings;

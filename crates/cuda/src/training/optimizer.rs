@@ -1,4 +1,4 @@
-//! Weights, their gradients, and Adam, which changes one matrix at a time or several.
+//! Weights, their gradients, and Adam, which changes one matrix at a time or several; Muon for the hidden layers' weights.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
@@ -6,7 +6,10 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::Weights;
 
-use super::{CHUNKS, Matrix, Packing, Settings, Tables};
+use super::{
+    CHUNKS, Matrix, Packing, Settings, Tables,
+    muon::{Muon, Numbers},
+};
 use crate::{
     device::{Address, Argument, Buffer, Device, Queue, Shape},
     error::Result,
@@ -14,7 +17,7 @@ use crate::{
 };
 
 /// Words of a `Place` of the kernels.
-const PLACE: usize = 7;
+const PLACE: usize = 8;
 
 /// Weights on a device, with what their training needs.
 pub struct Optimizer {
@@ -35,13 +38,15 @@ pub struct Optimizer {
     scales: Buffer,
     /// Squares of their norms.
     totals: Buffer,
+    muon: Option<Muon>,
 }
 
 impl Optimizer {
     /// Memory for these matrices, weights all zero.
     ///
     /// # Errors
-    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows.
+    /// [`CudaError::Call`](crate::CudaError::Call), as of all that follows; [`CudaError::Unsupported`](crate::CudaError::Unsupported)
+    /// for a layer that is too wide for Muon.
     pub(crate) fn new(
         device: &Arc<dyn Device>,
         packing: &Packing,
@@ -50,7 +55,10 @@ impl Optimizer {
         let numbers = |count: usize| device.allocate(4 * count);
         let place = |matrix: &Matrix| -> [u32; PLACE] {
             let Matrix { first, rows, columns, bias, width, tensor, .. } = *matrix;
-            [first, rows, columns, bias, width, tensor, matrix.tensors()].map(|n| n as u32)
+            // All parts of a matrix are hidden, or none.
+            let orthogonal = usize::from(settings.muon && matrix.is_hidden(0));
+            [first, rows, columns, bias, width, tensor, matrix.tensors(), orthogonal]
+                .map(|n| n as u32)
         };
         let all: Vec<_> = packing.matrices().iter().map(place).collect();
         let places = device.allocate(size_of_val(all.as_slice()))?;
@@ -67,6 +75,7 @@ impl Optimizer {
             squares: numbers(packing.tensors * CHUNKS)?,
             scales: numbers(packing.tensors)?,
             totals: numbers(packing.tensors)?,
+            muon: settings.muon.then(|| Muon::new(&**device, packing)).transpose()?,
             packing: packing.clone(),
             device: Arc::clone(device),
         })
@@ -205,6 +214,22 @@ impl Optimizer {
                 self.epsilon.into(),
             ],
         )
+    }
+
+    /// Muon for the weights of all hidden layers, which Adam leaves as they are; nothing if it was not asked for.
+    pub(crate) fn change_hidden(&self, tables: &Tables) -> Result<()> {
+        let Some(muon) = &self.muon else { return Ok(()) };
+        let numbers = Numbers {
+            weights: self.weights.address(),
+            gradients: self.gradients.address(),
+            momentum: self.first.address(),
+            average: self.average.as_ref().map_or(Address::NULL, Buffer::address),
+            scales: self.scales.address(),
+        };
+        let schedule = [tables.schedule.address(), tables.progress.address()];
+        muon.change(&numbers, schedule, |queue, kernel, shape, arguments| {
+            self.launch(queue, kernel, shape, arguments)
+        })
     }
 
     /// Where the place of a matrix is, before those of the following ones.

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, ops::Range};
 
-use eddy_inference::checkpoint::Weights;
+use eddy_inference::checkpoint::{Weights, layout};
 
 use crate::kernels::round_up;
 
@@ -53,6 +53,16 @@ impl Matrix {
     /// Numbers in it.
     pub fn size(&self) -> usize {
         self.rows * self.columns
+    }
+
+    /// Whether a part is the weight of a hidden layer.
+    pub(super) fn is_hidden(&self, part: usize) -> bool {
+        layout::is_hidden(&self.parts[part].names[0])
+    }
+
+    /// Inputs and outputs of a part, without padding.
+    pub(super) fn shape(&self, part: usize) -> [usize; 2] {
+        [self.inputs.len(), self.parts[part].gates * self.parts[part].outputs]
     }
 
     /// Tensors of the checkpoint in it.

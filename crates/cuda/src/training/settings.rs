@@ -31,6 +31,8 @@ pub struct Settings {
     pub epsilon: f32,
     /// Whether a running average of the weights is kept.
     pub average: bool,
+    /// Whether Muon changes the weights of hidden layers instead of Adam. Of the particle model only.
+    pub muon: bool,
 }
 
 impl Settings {
@@ -50,6 +52,7 @@ impl Settings {
             clip: f32::INFINITY,
             epsilon: 1e-8,
             average: false,
+            muon: false,
         }
     }
 
@@ -66,6 +69,8 @@ pub struct Batch {
     pub windows: Vec<Window>,
     /// Learning rate, corrected for the first moment's start from zero.
     pub rate: f32,
+    /// Learning rate as it is, for Muon.
+    pub plain_rate: f32,
     /// 1 / sqrt(1 - beta_2^t).
     pub correction: f32,
     /// Share of the running average that stays.

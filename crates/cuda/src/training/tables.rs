@@ -91,8 +91,8 @@ impl Tables {
             for (number, window) in batch.windows.iter().enumerate() {
                 windows.extend(window.words(first(step, number, window)));
             }
-            schedule.extend([batch.rate, batch.correction, batch.kept].map(f32::to_bits));
-            schedule.push(0);
+            let Batch { rate, correction, kept, plain_rate, .. } = *batch;
+            schedule.extend([rate, correction, kept, plain_rate].map(f32::to_bits));
             schedule.extend(key(batch.dropout));
             weights.extend(batch.weights.iter().flatten().copied());
         }

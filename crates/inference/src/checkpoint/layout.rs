@@ -94,6 +94,11 @@ pub fn names(layer: &str) -> [String; 2] {
     ["weight", "bias"].map(|tensor| format!("{layer}.{tensor}"))
 }
 
+/// Whether a weight is that of a hidden layer: neither of the first one, which reads the features, nor of the decoder.
+pub fn is_hidden(weight: &str) -> bool {
+    !["encoder.0.weight", "decoder.weight"].contains(&weight)
+}
+
 /// The linear layers of a network, from input to output.
 pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
     let Description { architecture, core, stiffness, sizes, frame, grid, .. } = description;

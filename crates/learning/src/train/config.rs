@@ -160,10 +160,25 @@ pub enum Schedule {
     Constant,
 }
 
-/// The optimizer, Adam.
+/// How weights are changed by their gradients.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OptimizerKind {
+    /// Adam (Kingma and Ba 2015), which scales the step of each weight by its gradient's size.
+    #[default]
+    Adam,
+    /// Muon (Jordan et al. 2024) for the matrices of hidden layers, whose steps it makes orthogonal, scaled as by Liu et al. 2025 so
+    /// that Adam's learning rates fit; Adam for biases, the first layer and the decoder.
+    Muon,
+}
+
+/// The optimizer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerConfig {
+    /// Method. On CUDA, Muon is for the particle model only, with layers of at most 112 inputs or outputs.
+    #[serde(default)]
+    pub kind: OptimizerKind,
     /// Largest learning rate.
     pub learning_rate: f64,
     /// Share of the run during which the learning rate increases linearly from 0 to its largest value, 0 to below 1.
@@ -312,6 +327,7 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
+                kind: OptimizerKind::Adam,
                 learning_rate: 2.5e-3,
                 warm_up: 0.0,
                 schedule: Schedule::Cosine,
@@ -352,6 +368,7 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
+                kind: OptimizerKind::Adam,
                 learning_rate: 1e-3,
                 warm_up: 0.0,
                 schedule: Schedule::Constant,
@@ -399,6 +416,7 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
+                kind: OptimizerKind::Adam,
                 // Larger rates let the loss jump up, with a network that does not recover.
                 learning_rate: 3e-4,
                 warm_up: 0.05,
@@ -415,7 +433,9 @@ impl TrainConfig {
     /// Whether the network can be trained on an NVIDIA GPU.
     pub fn runs_on_gpus(&self) -> bool {
         match self.architecture {
-            Architecture::Frame => self.truncation == 0,
+            Architecture::Frame => {
+                self.truncation == 0 && self.optimizer.kind == OptimizerKind::Adam
+            }
             Architecture::Particle => {
                 self.loss.density_weight == 0.0 && self.network.dropout == 0.0
             }

@@ -10,8 +10,8 @@ use std::sync::{Arc, Weak};
 
 use super::{
     TrainConfig, TrainError,
-    adam::{Correction, Moments},
     gradients::GradientTask,
+    optimizer::{Correction, Moments},
     state::RunState,
     steps::Step,
     window::{Draw, Sampler},
@@ -198,8 +198,8 @@ impl Learner {
         for &rate in rates {
             let draws = sampler.choose_many(config.windows.batch, &mut state.order);
             let masks = state.dropout.fork();
-            state.adam.steps += 1;
-            let correction = Correction::new(state.adam.steps, rate, &config.optimizer);
+            state.optimizer.steps += 1;
+            let correction = Correction::new(state.optimizer.steps, rate, &config.optimizer);
             for (replica, batches) in self.replicas.iter().zip(&mut batches) {
                 let first = replica.device.rank().number * part;
                 let draws = &draws[first..first + part];
@@ -257,7 +257,7 @@ impl Learner {
             .layers_mut()
             .exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
         let moments = first.into_iter().zip(second).zip(average);
-        state.adam.moments =
+        state.optimizer.moments =
             moments.map(|((first, second), average)| Moments { first, second, average }).collect();
         Ok(())
     }
@@ -279,7 +279,7 @@ impl Replica {
         let weights = common_weights(scale, state.unroll, particles);
         let training = self.stores.training(&self.device, description, &settings, weights)?;
         training.set_weights(&state.network.layers().tensors(description))?;
-        let moments = state.adam.moments.iter().map(|Moments { first, second, average }| {
+        let moments = state.optimizer.moments.iter().map(|Moments { first, second, average }| {
             [first.as_slice(), second.as_slice(), average.as_slice()]
         });
         training.optimizer().set_moments(moments)?;

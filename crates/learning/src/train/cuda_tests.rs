@@ -179,7 +179,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
         let slope = task.group(state.network.detached(), &windows, &mut masks.clone());
 
         let correction =
-            super::adam::Correction::new(state.adam.steps + 1, 1e-2, &config.optimizer);
+            super::optimizer::Correction::new(state.optimizer.steps + 1, 1e-2, &config.optimizer);
         let own = (config.loss.kind == LossKind::Relative)
             .then(|| cuda::weights(&scale, &sampler, &draws, unroll).unwrap());
         let batch = cuda::batch(&draws, &correction, masks.random(), own);
@@ -194,11 +194,11 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
             assert!(found < 5e-5, "step {step}: gradient by {name}: relative error {found:.1e}");
         }
 
-        let mut adam = state.adam.step(1e-2, &config.optimizer).measured();
+        let mut optimizer = state.optimizer.step(1e-2, &config.optimizer).measured();
         state.network.layers_mut().exchange(|tensor, values| {
-            adam.change(tensor, values, &slope.gradients[tensor]);
+            optimizer.change(tensor, values, &slope.gradients[tensor]);
         });
-        let norm = adam.gradient_norm();
+        let norm = optimizer.gradient_norm();
         assert!(
             (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < 1e-4,
             "norm of the gradient"
@@ -360,10 +360,10 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         assert_eq!(same, windows, "the same windows are drawn");
         assert!((found / expected - 1.0).abs() < 2e-5, "loss {expected} on the CPU, {found}");
     }
-    assert_eq!(found.adam.steps, expected.adam.steps);
+    assert_eq!(found.optimizer.steps, expected.optimizer.steps);
     assert_eq!(found.order.get_word_pos(), expected.order.get_word_pos());
-    assert_eq!(found.adam.moments.len(), expected.adam.moments.len());
-    for (found, expected) in found.adam.moments.iter().zip(&expected.adam.moments) {
+    assert_eq!(found.optimizer.moments.len(), expected.optimizer.moments.len());
+    for (found, expected) in found.optimizer.moments.iter().zip(&expected.optimizer.moments) {
         assert!(relative_error(&found.first, &expected.first) < 1e-4, "first moments");
         assert!(relative_error(&found.second, &expected.second) < 1e-4, "second moments");
         assert!(relative_error(&found.average, &expected.average) < 1e-4, "averages");

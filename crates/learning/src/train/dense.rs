@@ -10,12 +10,12 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "cuda")]
-use super::adam::Correction;
+use super::optimizer::Correction;
 use super::{
     NoiseConfig, TrainConfig, TrainError, WindowConfig,
-    adam::{Adam, AdamStep},
     config::{at_least_one, positive},
     description::{no_constant_feature, same_particles},
+    optimizer::{Optimizer, OptimizerStep},
     window::{self, Sampler, Window},
 };
 use crate::model::{DeviceKind, GpuOptions, linear::Linear, mlp::activate};
@@ -173,7 +173,7 @@ fn train_with(
 /// What takes the steps.
 enum Trainer {
     /// burn-flex.
-    Burn { network: Dense, adam: Adam },
+    Burn { network: Dense, optimizer: Optimizer },
     /// An NVIDIA GPU.
     #[cfg(feature = "cuda")]
     Cuda { network: Box<eddy_cuda::dense::Dense>, steps: u32 },
@@ -190,7 +190,10 @@ type OpenDevice<'a> =
 impl Trainer {
     fn through_burn(activation: Activation, weights: Vec<[Vec<f32>; 2]>) -> Self {
         let device = DeviceKind::Flex.device().autodiff();
-        Self::Burn { network: Dense::new(activation, weights, &device), adam: Adam::default() }
+        Self::Burn {
+            network: Dense::new(activation, weights, &device),
+            optimizer: Optimizer::default(),
+        }
     }
 
     #[cfg(feature = "cuda")]
@@ -215,15 +218,15 @@ impl Trainer {
         features: usize,
         rate: f64,
     ) -> Result<f64, TrainError> {
-        let optimizer = TrainConfig::paper().optimizer;
+        let config = TrainConfig::paper().optimizer;
         Ok(match self {
-            Self::Burn { network, adam } => {
+            Self::Burn { network, optimizer } => {
                 let [input, target] = [&input, &truth].map(|frames| tensor(frames, features));
                 let predicted = network.forward(Tensor::from_inner(input));
                 let loss = error(&numbers(predicted.clone().inner()), &truth);
                 if loss.is_finite() {
                     let mean = (predicted - Tensor::from_inner(target)).square().mean();
-                    let mut step = adam.step(rate, &optimizer);
+                    let mut step = optimizer.step(rate, &config);
                     network.update(&mut mean.backward(), &mut step);
                 }
                 loss
@@ -231,8 +234,8 @@ impl Trainer {
             #[cfg(feature = "cuda")]
             Self::Cuda { network, steps } => {
                 *steps += 1;
-                let Correction { rate, root, .. } = Correction::new(*steps, rate, &optimizer);
-                let (correction, epsilon) = (1.0 / root, optimizer.epsilon);
+                let Correction { rate, root, .. } = Correction::new(*steps, rate, &config);
+                let (correction, epsilon) = (1.0 / root, config.epsilon);
                 network.step(&input, &truth, Move { rate, correction, epsilon })?
             }
         })
@@ -370,7 +373,7 @@ impl Dense {
         signal
     }
 
-    fn update(&mut self, gradients: &mut Gradients, step: &mut AdamStep<'_>) {
+    fn update(&mut self, gradients: &mut Gradients, step: &mut OptimizerStep<'_>) {
         for (index, layer) in self.layers.iter_mut().enumerate() {
             layer.update(index, gradients, &mut |tensor, values, by| {
                 step.change(tensor, values, by);

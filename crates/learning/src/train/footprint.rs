@@ -12,7 +12,7 @@ const STATE: usize = 4;
 /// Size of a value (bytes).
 const NUMBER: usize = 4;
 
-/// Copies of the weights in memory: network, gradient, Adam's two moments, best checkpoint. At the end of an epoch, the
+/// Copies of the weights in memory: network, gradient, the optimizer's two moments, best checkpoint. At the end of an epoch, the
 /// gradient is replaced by the new checkpoint, its network for validation, and its serialised bytes.
 const IN_TRAINING: usize = 5;
 const IN_VALIDATION: usize = 7;

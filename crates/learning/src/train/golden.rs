@@ -8,8 +8,8 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
 
 use super::{
-    OptimizerConfig, TrainConfig, adam::Adam, batch::Batch, loss, loss_weights::LossScale,
-    window::Window,
+    OptimizerConfig, TrainConfig, batch::Batch, loss, loss_weights::LossScale,
+    optimizer::Optimizer, window::Window,
 };
 use crate::model::{
     DeviceKind,
@@ -266,7 +266,7 @@ fn losses_and_gradients_equal_those_of_pytorch() {
 fn kernels_for_gpus_take_the_steps_of_pytorch() {
     use std::sync::Arc;
 
-    use super::{adam::Correction, cuda, window::Draw};
+    use super::{cuda, optimizer::Correction, window::Draw};
     use eddy_cuda::{
         frame::{Place, Training},
         kernels::Constants,
@@ -342,11 +342,11 @@ fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
     for_all(|golden, kind| {
         let device = kind.device();
         let mut network = golden.network(&device.clone().autodiff());
-        let mut adam = Adam::default();
+        let mut optimizer = Optimizer::default();
         let config: &OptimizerConfig = &golden.config.optimizer;
         for _ in 0..STEPS {
             let mut gradients = golden.loss(&network, &device).backward();
-            let mut step = adam.step(LEARNING_RATE, config);
+            let mut step = optimizer.step(LEARNING_RATE, config);
             network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
                 step.change(tensor, values, gradient);
             });

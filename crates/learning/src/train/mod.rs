@@ -6,7 +6,7 @@
 //! 4. `batch`: windows as tensors.
 //! 5. `loss`, `density`: the network observes the warm-up and predicts the rest from its own output; the loss of that.
 //! 6. `gradients`: the loss of a batch and its gradients, windows in parallel.
-//! 7. `adam`: the optimizer. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
+//! 7. `optimizer`: Adam and the average of the weights, with `muon`: Muon. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
 //! 8. `schedule`: learning rate and length of unroll over the run.
 //! 9. `validate`: free rollouts over streams that are not trained on.
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
@@ -18,7 +18,6 @@
 //! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
 //! network for the paper's comparison of activations.
 
-mod adam;
 mod batch;
 mod config;
 #[cfg(feature = "cuda")]
@@ -43,6 +42,8 @@ mod loss_weights;
 mod moments;
 mod monitor;
 mod movement;
+mod muon;
+mod optimizer;
 mod record;
 mod resume;
 mod schedule;
@@ -58,8 +59,8 @@ mod validate;
 mod window;
 
 pub use config::{
-    LossConfig, LossKind, NetworkConfig, NoiseConfig, Observed, OptimizerConfig, Recipe, Schedule,
-    TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
+    LossConfig, LossKind, NetworkConfig, NoiseConfig, Observed, OptimizerConfig, OptimizerKind,
+    Recipe, Schedule, TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};

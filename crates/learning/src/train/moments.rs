@@ -1,4 +1,4 @@
-//! Adam's moments by tensor name, and checksums of tensors.
+//! The optimizer's moments by tensor name, and checksums of tensors.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -6,7 +6,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use super::{
     TrainError,
-    adam::{Adam, Moments},
+    optimizer::{Moments, Optimizer},
     record::damaged,
 };
 use eddy_inference::checkpoint::{Description, Weights, layout};
@@ -31,9 +31,12 @@ fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
     })
 }
 
-/// Adam's moments by name; none for tensors without a step.
-pub(super) fn moments_by_name(adam: &Adam, description: &Description) -> BTreeMap<String, Weights> {
-    let known = adam.moments.iter().zip(tensors(description));
+/// The optimizer's moments by name; none for tensors without a step.
+pub(super) fn moments_by_name(
+    optimizer: &Optimizer,
+    description: &Description,
+) -> BTreeMap<String, Weights> {
+    let known = optimizer.moments.iter().zip(tensors(description));
     let held = known.filter(|(moments, _)| !moments.first.is_empty());
     held.flat_map(|(Moments { first, second, .. }, (name, size))| {
         let tensor = |values: &Vec<f32>| Weights { shape: vec![size], values: values.clone() };
@@ -103,10 +106,10 @@ mod tests {
                     Moments { first: numbers(size), second: numbers(size), average: Vec::new() }
                 })
                 .collect();
-            let adam = Adam { steps: 3, moments };
-            let named = moments_by_name(&adam, &description);
+            let optimizer = Optimizer { steps: 3, moments, ..Optimizer::default() };
+            let named = moments_by_name(&optimizer, &description);
             let read = moments_in_order("moments".as_ref(), named.clone(), &description).unwrap();
-            prop_assert_eq!(read, adam.moments);
+            prop_assert_eq!(read, optimizer.moments);
 
             let mut other = named;
             if let Some((name, weights)) = other.first_key_value() {

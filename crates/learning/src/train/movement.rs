@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     OptimizerConfig,
-    adam::{Adam, Correction},
+    optimizer::{Correction, Optimizer},
 };
 use eddy_inference::checkpoint::Weights;
 
@@ -18,8 +18,8 @@ const MOST_EPSILON_SHARE: f64 = 0.9;
 pub(super) struct Movement {
     /// Distance of the weights from the initial ones, relative to the norm of these.
     pub(super) distance: f64,
-    /// Mean of epsilon / (root + epsilon) over all weights, root being that of the corrected second moment: the share of a step
-    /// of Adam that its epsilon takes away. 0 before the first step.
+    /// Mean of epsilon / (root + epsilon) over the weights, root being that of the corrected second moment: the share of a step
+    /// of Adam that its epsilon takes away. 0 before the first step. Without the weights that Muon changes, as it has no epsilon.
     pub(super) epsilon_share: f64,
 }
 
@@ -28,7 +28,7 @@ impl Movement {
     pub(super) fn of(
         initial: &BTreeMap<String, Weights>,
         weights: &BTreeMap<String, Weights>,
-        adam: &Adam,
+        optimizer: &Optimizer,
         config: &OptimizerConfig,
     ) -> Self {
         let pairs = initial.iter().filter_map(|(name, before)| Some((before, weights.get(name)?)));
@@ -37,10 +37,10 @@ impl Movement {
             moved += sum(&before.values, &after.values, |before, after| (after - before).powi(2));
             all += sum(&before.values, &before.values, |before, _| before.powi(2));
         }
-        let root = f64::from(Correction::new(adam.steps.max(1), 0.0, config).root);
+        let root = f64::from(Correction::new(optimizer.steps.max(1), 0.0, config).root);
         let epsilon = f64::from(config.epsilon);
         let share = |second: f64, _| epsilon / (second.sqrt() / root + epsilon);
-        let second = || adam.moments.iter().map(|moments| moments.second.as_slice());
+        let second = || optimizer.moments_of_adam().map(|moments| moments.second.as_slice());
         let shares: f64 = second().map(|second| sum(second, second, share)).sum();
         let count = second().map(<[f32]>::len).sum::<usize>();
         let epsilon_share = if count > 0 { shares / count as f64 } else { 0.0 };
@@ -76,7 +76,7 @@ fn sum(left: &[f32], right: &[f32], of: impl Fn(f64, f64) -> f64 + Sync) -> f64 
 #[cfg(test)]
 mod tests {
     use super::{
-        super::{TrainConfig, adam::Moments},
+        super::{TrainConfig, optimizer::Moments},
         *,
     };
     use eddy_inference::checkpoint::Architecture;
@@ -94,8 +94,9 @@ mod tests {
             // A second moment after many steps, whose correction is 1.
             let second = vec![gradient * gradient; 2];
             let moments = Moments { first: vec![gradient; 2], second, average: Vec::new() };
-            let adam = Adam { steps: 100_000, moments: vec![moments] };
-            Movement::of(&weights(&[3.0, 4.0]), &weights(&[3.0, 4.5]), &adam, &config)
+            let optimizer =
+                Optimizer { steps: 100_000, moments: vec![moments], ..Optimizer::default() };
+            Movement::of(&weights(&[3.0, 4.0]), &weights(&[3.0, 4.5]), &optimizer, &config)
         };
         let small = of(1e-12);
         assert!((small.distance - 0.1).abs() < 1e-9 && small.epsilon_share > 0.9998, "{small:?}");
@@ -104,7 +105,8 @@ mod tests {
         let even = of(1e-8);
         assert!((even.epsilon_share - 0.5).abs() < 1e-6, "{even:?}");
         assert_eq!(even.warning(&config), None);
-        let before = Movement::of(&weights(&[1.0]), &weights(&[1.0]), &Adam::default(), &config);
+        let before =
+            Movement::of(&weights(&[1.0]), &weights(&[1.0]), &Optimizer::default(), &config);
         assert_eq!(before, Movement { distance: 0.0, epsilon_share: 0.0 });
     }
 }

@@ -30,7 +30,7 @@ pub(super) struct Record {
     pub(super) weights: String,
     /// Checksum of the moments in the same folder.
     pub(super) moments: String,
-    /// Number of steps of Adam.
+    /// Number of steps of the optimizer.
     pub(super) steps: u32,
     pub(super) samples: u64,
     pub(super) since_best: u32,

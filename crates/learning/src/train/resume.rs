@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `model.toml`, `model.safetensors` | the checkpoint of the last epoch, always with f32 weights |
 //! | `resume.toml` | settings, random generators, all epochs, counters, checksums |
-//! | `resume.safetensors` | Adam's moments, `first.NAME` and `second.NAME` for each tensor, `[in, out]`; if the checkpoint contains averaged weights, also the weights themselves, `weight.NAME`, in the layout of checkpoints |
+//! | `resume.safetensors` | the optimizer's moments, `first.NAME` and `second.NAME` for each tensor, `[in, out]`; if the checkpoint contains averaged weights, also the weights themselves, `weight.NAME`, in the layout of checkpoints |
 //!
 //! The new folder is written as `last.new`; then `last` is renamed to `last.old` and `last.new` to `last`, and `last.old` is
 //! deleted. If only `last.old` is found, the replacement is completed.
@@ -22,8 +22,8 @@ use std::{
 
 use super::{
     METRICS_FILE, Run, TrainConfig, TrainError,
-    adam::Adam,
     moments::{checksum, moments_by_name, moments_in_order},
+    optimizer::Optimizer,
     record::{self, GeneratorState, RECORD_VERSION, Record, damaged, same_run},
     state::RunState,
 };
@@ -39,7 +39,7 @@ pub const LAST_FOLDER: &str = "last";
 const RECORD_FILE: &str = "resume.toml";
 /// Prefix of the names of weights in [`MOMENTS_FILE`].
 const WEIGHT: &str = "weight.";
-/// Name of the file with Adam's moments, within [`LAST_FOLDER`].
+/// Name of the file with the optimizer's moments, within [`LAST_FOLDER`].
 const MOMENTS_FILE: &str = "resume.safetensors";
 
 /// Rejects an output folder that cannot be written to, or that contains a run unless `resume`. The folder is left unchanged.
@@ -124,7 +124,7 @@ pub(super) fn save(
     last: &Checkpoint,
     seconds: f64,
 ) -> Result<(), TrainError> {
-    let mut moments = moments_by_name(&state.adam, &last.description);
+    let mut moments = moments_by_name(&state.optimizer, &last.description);
     if config.optimizer.average > 0.0 {
         let weights = state.network.layers().tensors(&last.description).into_iter();
         moments.extend(weights.map(|(name, weights)| (format!("{WEIGHT}{name}"), weights)));
@@ -135,7 +135,7 @@ pub(super) fn save(
         device: run.device_name(),
         weights: checksum(&last.tensors),
         moments: checksum(&moments),
-        steps: state.adam.steps,
+        steps: state.optimizer.steps,
         samples: state.samples,
         since_best: state.since_best,
         unroll: state.unroll,
@@ -220,7 +220,7 @@ fn load(
     let record = record::read(&file)?;
     same_run(&file, config, description, run, &record)?;
     let last = Checkpoint::load(&folder)?;
-    let (network, adam) = tensors(&folder, config, description, run, &record, &last)?;
+    let (network, optimizer) = tensors(&folder, config, description, run, &record, &last)?;
     let best = best(run.output, &record, &last)?;
     let random = |field: &str, generator: &GeneratorState| {
         generator.generator().ok_or_else(|| {
@@ -239,7 +239,7 @@ fn load(
     }
     Ok(RunState {
         network,
-        adam,
+        optimizer,
         order: random("order", &record.order)?,
         dropout,
         unroll: record.unroll,
@@ -260,7 +260,7 @@ fn tensors(
     run: &Run,
     record: &Record,
     last: &Checkpoint,
-) -> Result<(Network, Adam), TrainError> {
+) -> Result<(Network, Optimizer), TrainError> {
     let file = folder.join(MOMENTS_FILE);
     let bytes =
         fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;
@@ -282,15 +282,16 @@ fn tensors(
         };
     }
     let moments = moments_in_order(&file, named, description)?;
-    let mut adam = Adam { steps: record.steps, moments };
+    let mut optimizer = Optimizer::new(config, description);
+    (optimizer.steps, optimizer.moments) = (record.steps, moments);
     let device = run.device.device().autodiff();
     if config.optimizer.average == 0.0 {
-        return Ok((Network::new(description, &last.tensors, &device), adam));
+        return Ok((Network::new(description, &last.tensors, &device), optimizer));
     }
     // The checkpoint contains the running average of the weights.
     let mut averaged = Layers::new(description, &last.tensors, &device);
-    averaged.exchange(|tensor, values| adam.moments[tensor].average = values.to_vec());
+    averaged.exchange(|tensor, values| optimizer.moments[tensor].average = values.to_vec());
     let weights = Checkpoint::new(last.description.clone(), weights);
     weights.check(&file)?;
-    Ok((Network::new(description, &weights.tensors, &device), adam))
+    Ok((Network::new(description, &weights.tensors, &device), optimizer))
 }

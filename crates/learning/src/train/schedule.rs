@@ -47,11 +47,12 @@ pub(super) fn batches_of_stage(config: &TrainConfig, epoch: u32, batch: usize) -
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::OptimizerKind, *};
     use eddy_inference::checkpoint::Architecture;
 
     fn config(schedule: Schedule, warm_up: f64) -> OptimizerConfig {
         OptimizerConfig {
+            kind: OptimizerKind::Adam,
             learning_rate: 1e-3,
             warm_up,
             schedule,

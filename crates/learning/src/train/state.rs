@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     Epoch, TrainConfig,
-    adam::{Adam, Moments},
     loss_weights::TrivialErrors,
+    optimizer::{Moments, Optimizer},
     schedule,
 };
 use crate::model::{DeviceKind, dropout::Dropout, network::Network};
@@ -17,7 +17,7 @@ use eddy_inference::checkpoint::{Checkpoint, Description, Weights, initial_weigh
 /// The state of a run between two batches.
 pub(super) struct RunState {
     pub(super) network: Network,
-    pub(super) adam: Adam,
+    pub(super) optimizer: Optimizer,
     /// Draws the windows.
     pub(super) order: ChaCha8Rng,
     pub(super) dropout: Dropout,
@@ -60,7 +60,7 @@ impl RunState {
         let [order, dropout] = [order, dropout].map(ChaCha8Rng::seed_from_u64);
         Self {
             network: Network::new(description, &initial, &device.device().autodiff()),
-            adam: Adam::default(),
+            optimizer: Optimizer::new(config, description),
             order,
             dropout: Dropout::new(config.network.dropout, dropout),
             unroll: 0,
@@ -76,7 +76,7 @@ impl RunState {
     /// The weights to validate and save, by name: their running average, if there is one.
     pub(super) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
         let mut layers = self.network.layers().clone();
-        layers.exchange(|tensor, values| match self.adam.moments.get(tensor) {
+        layers.exchange(|tensor, values| match self.optimizer.moments.get(tensor) {
             Some(Moments { average, .. }) if !average.is_empty() => values.copy_from_slice(average),
             _ => {}
         });

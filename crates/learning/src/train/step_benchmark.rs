@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 #[cfg(feature = "cuda")]
 use super::cuda::Learner;
 use super::{
-    LossConfig, OptimizerConfig, TrainConfig, TrainError, adam::Adam, batch::Batch, loss,
-    loss_weights::LossScale, window::Window,
+    LossConfig, OptimizerConfig, TrainConfig, TrainError, batch::Batch, loss,
+    loss_weights::LossScale, optimizer::Optimizer, window::Window,
 };
 use crate::model::{DeviceKind, GpuOptions, dropout::Dropout, network::Network};
 use eddy_evaluation::dataset::State;
@@ -52,8 +52,8 @@ enum Steps {
 struct BurnSteps {
     network: Network,
     task: Task,
-    adam: Adam,
-    optimizer: OptimizerConfig,
+    optimizer: Optimizer,
+    settings: OptimizerConfig,
 }
 
 enum Task {
@@ -168,13 +168,13 @@ impl BurnSteps {
                 Task::Frame { batch: Box::new(batch), loss: config.loss.clone(), domain }
             }
         };
-        Self { network, task, adam: Adam::default(), optimizer: config.optimizer }
+        Self { network, task, optimizer: Optimizer::default(), settings: config.optimizer }
     }
 
     /// Forward pass, loss, backward pass and optimizer step. Returns the loss before the step.
     fn step(&mut self) -> f32 {
         let (value, mut gradients) = self.gradients();
-        let mut step = self.adam.step(self.optimizer.learning_rate, &self.optimizer);
+        let mut step = self.optimizer.step(self.settings.learning_rate, &self.settings);
         self.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
             step.change(tensor, values, gradient);
         });

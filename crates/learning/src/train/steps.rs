@@ -152,7 +152,7 @@ fn step(
     if !loss.is_finite() {
         return Ok(Step { loss, gradient_norm: f64::NAN, finite: true, windows });
     }
-    let mut step = state.adam.step(rate, &task.config.optimizer).measured();
+    let mut step = state.optimizer.step(rate, &task.config.optimizer).measured();
     state.network.layers_mut().exchange(|tensor, values| {
         if !gradients[tensor].is_empty() {
             step.change(tensor, values, &gradients[tensor]); // clips it first

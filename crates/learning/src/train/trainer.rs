@@ -144,11 +144,11 @@ struct Boundary {
 
 impl Boundary {
     fn of(state: &RunState) -> Self {
-        let RunState { order, dropout, adam, samples, .. } = state;
+        let RunState { order, dropout, optimizer, samples, .. } = state;
         Self {
             order: order.clone(),
             dropout: dropout.clone(),
-            steps: adam.steps,
+            steps: optimizer.steps,
             samples: *samples,
         }
     }
@@ -157,7 +157,7 @@ impl Boundary {
     fn swap(&mut self, state: &mut RunState) {
         swap(&mut self.order, &mut state.order);
         swap(&mut self.dropout, &mut state.dropout);
-        swap(&mut self.steps, &mut state.adam.steps);
+        swap(&mut self.steps, &mut state.optimizer.steps);
         swap(&mut self.samples, &mut state.samples);
     }
 }
@@ -276,7 +276,7 @@ impl Trainer<'_> {
         let Self { config, dataset, run, group, state, monitor, learner, initial, .. } = self;
         let begun = monitor.elapsed();
         let tensors = state.tensors(self.description);
-        let movement = Movement::of(initial, &tensors, &state.adam, &config.optimizer);
+        let movement = Movement::of(initial, &tensors, &state.optimizer, &config.optimizer);
         let mut checkpoint = Checkpoint::new(self.description.clone(), tensors);
         let mut published = checkpoint.with_weights(config.network.weights);
         let surrogate = learner.surrogate(&published)?;

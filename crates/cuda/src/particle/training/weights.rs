@@ -1,4 +1,4 @@
-//! The gradients by the weights, once those by all sums are there, and Adam.
+//! The gradients by the weights, once those by all sums are there, and the optimizer.
 
 #![expect(unsafe_code, reason = "a struct that the device reads")]
 
@@ -337,6 +337,7 @@ impl Training {
         )?;
         let matrices = self.layout.packing.matrices();
         self.optimizer.measure(Queue::Main, matrices)?;
-        self.optimizer.change(Queue::Main, matrices, &self.tables)
+        self.optimizer.change(Queue::Main, matrices, &self.tables)?;
+        self.optimizer.change_hidden(&self.tables)
     }
 }

@@ -4,9 +4,9 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use crate::train::{
-    LossKind, TrainConfig, TrainError,
-    adam::Correction,
+    LossKind, OptimizerKind, TrainConfig, TrainError,
     loss_weights::LossScale,
+    optimizer::Correction,
     window::{Draw, Sampler},
 };
 use eddy_cuda::training::{Batch, Settings, Window};
@@ -29,6 +29,7 @@ pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: u
         clip: config.optimizer.clip,
         epsilon: config.optimizer.epsilon,
         average: config.optimizer.average > 0.0,
+        muon: config.optimizer.kind == OptimizerKind::Muon,
     }
 }
 
@@ -48,6 +49,7 @@ pub(in crate::train) fn batch(
     Batch {
         windows: draws.iter().map(window).collect(),
         rate: correction.rate,
+        plain_rate: correction.plain_rate,
         correction: 1.0 / correction.root,
         kept: correction.kept,
         dropout: dropout.map_or([0; 32], ChaCha8Rng::get_seed),

@@ -1,11 +1,14 @@
-//! Adam (Kingma and Ba 2015) in one pass over each tensor, and the running average of the weights (Polyak and Juditsky 1992)
-//! that is validated and saved instead of the weights.
+//! Adam (Kingma and Ba 2015) in one pass over each tensor, Muon (`muon`) for the matrices of hidden layers where it is chosen, and
+//! the running average of the weights (Polyak and Juditsky 1992) that is validated and saved instead of the weights.
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::OptimizerConfig;
-use eddy_inference::kernels::vectors::zip;
+use super::{OptimizerConfig, OptimizerKind, TrainConfig, muon};
+use eddy_inference::{
+    checkpoint::{Description, layout},
+    kernels::vectors::zip,
+};
 
 /// Values per task.
 const CHUNK: usize = 1 << 16;
@@ -17,19 +20,21 @@ const BETA_2: f32 = 0.999;
 
 /// The state of the optimizer.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Adam {
+pub(super) struct Optimizer {
     /// Number of steps.
     pub(super) steps: u32,
     /// Moments of each tensor; empty before its first step.
     pub(super) moments: Vec<Moments>,
+    /// Rows and columns of each tensor that Muon changes; Adam changes the others, and those beyond the end.
+    pub(super) matrices: Vec<Option<[usize; 2]>>,
 }
 
 /// Running means of a tensor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Moments {
-    /// First moment: of the gradient.
+    /// First moment: of the gradient. Of Muon, the momentum.
     pub(super) first: Vec<f32>,
-    /// Second moment: of the squared gradient.
+    /// Second moment: of the squared gradient. Of Muon, zeros.
     pub(super) second: Vec<f32>,
     /// Of the values; empty if weights are not averaged.
     pub(super) average: Vec<f32>,
@@ -42,6 +47,8 @@ pub(super) struct Correction {
     pub(super) rate: f32,
     /// Square root of the bias correction of the second moment.
     pub(super) root: f32,
+    /// Learning rate as it is, for Muon.
+    pub(super) plain_rate: f32,
     /// Decay of the average.
     pub(super) kept: f32,
 }
@@ -53,6 +60,7 @@ impl Correction {
         Self {
             rate: (rate / (1.0 - f64::from(BETA_1).powi(power))) as f32,
             root: (1.0 - f64::from(BETA_2).powi(power)).sqrt() as f32,
+            plain_rate: rate as f32,
             // A shorter average in the first steps, to forget the initial weights quickly.
             kept: config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
         }
@@ -60,8 +68,8 @@ impl Correction {
 }
 
 /// A step for all tensors.
-pub(super) struct AdamStep<'a> {
-    adam: &'a mut Adam,
+pub(super) struct OptimizerStep<'a> {
+    optimizer: &'a mut Optimizer,
     correction: Correction,
     epsilon: f32,
     clip: f32,
@@ -71,13 +79,35 @@ pub(super) struct AdamStep<'a> {
     squares: f64,
 }
 
-impl Adam {
+impl Optimizer {
+    /// The state before the first step.
+    pub(super) fn new(config: &TrainConfig, description: &Description) -> Self {
+        let muon = config.optimizer.kind == OptimizerKind::Muon;
+        let layers = layout::linear_layers(description).into_iter();
+        let tensors = layers.flat_map(|layer| {
+            let hidden = muon && layout::is_hidden(&layer.weight);
+            [hidden.then_some([layer.input, layer.output]), None]
+        });
+        Self { matrices: tensors.collect(), ..Self::default() }
+    }
+
+    /// The moments of the tensors that Adam changes.
+    pub(super) fn moments_of_adam(&self) -> impl Iterator<Item = &Moments> + Clone {
+        let moments = self.moments.iter().enumerate();
+        moments.filter(|&(tensor, _)| self.matrix(tensor).is_none()).map(|(_, moments)| moments)
+    }
+
+    /// Rows and columns of a tensor that Muon changes.
+    fn matrix(&self, tensor: usize) -> Option<[usize; 2]> {
+        self.matrices.get(tensor).copied().flatten()
+    }
+
     /// Starts a step.
-    pub(super) fn step(&mut self, rate: f64, config: &OptimizerConfig) -> AdamStep<'_> {
+    pub(super) fn step(&mut self, rate: f64, config: &OptimizerConfig) -> OptimizerStep<'_> {
         self.steps += 1;
-        AdamStep {
+        OptimizerStep {
             correction: Correction::new(self.steps, rate, config),
-            adam: self,
+            optimizer: self,
             epsilon: config.epsilon,
             clip: config.clip,
             measured: false,
@@ -86,10 +116,11 @@ impl Adam {
     }
 }
 
-impl AdamStep<'_> {
+impl OptimizerStep<'_> {
     /// Updates a tensor. A gradient whose norm exceeds the limit is clipped.
     pub(super) fn change(&mut self, tensor: usize, values: &mut [f32], gradient: &[f32]) {
-        let moments = &mut self.adam.moments;
+        let matrix = self.optimizer.matrix(tensor);
+        let moments = &mut self.optimizer.moments;
         if moments.len() <= tensor {
             moments.resize_with(tensor + 1, Moments::default);
         }
@@ -99,20 +130,19 @@ impl AdamStep<'_> {
         let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
         self.squares += f64::from(norm) * f64::from(norm);
         let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
-        let constants = Constants {
-            scale,
-            rate: self.correction.rate,
-            inverse: 1.0 / self.correction.root,
-            epsilon: self.epsilon,
-        };
-        values
-            .par_chunks_mut(CHUNK)
-            .zip(gradient.par_chunks(CHUNK))
-            .zip(first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK)))
-            .for_each(|((values, gradient), (first, second))| {
-                Arch::new().dispatch(Change { constants, values, gradient, first, second });
-            });
-        let kept = self.correction.kept;
+        let Correction { rate, root, plain_rate, kept } = self.correction;
+        if let Some(shape) = matrix {
+            muon::change(shape, values, gradient, first, scale, plain_rate);
+        } else {
+            let constants = Constants { scale, rate, inverse: 1.0 / root, epsilon: self.epsilon };
+            values
+                .par_chunks_mut(CHUNK)
+                .zip(gradient.par_chunks(CHUNK))
+                .zip(first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK)))
+                .for_each(|((values, gradient), (first, second))| {
+                    Arch::new().dispatch(Change { constants, values, gradient, first, second });
+                });
+        }
         if kept > 0.0 {
             average.resize(values.len(), 0.0);
             for (mean, value) in average.iter_mut().zip(values) {
@@ -121,7 +151,7 @@ impl AdamStep<'_> {
         }
     }
 
-    /// The same step, with [`AdamStep::gradient_norm`] computed even without clipping.
+    /// The same step, with [`OptimizerStep::gradient_norm`] computed even without clipping.
     pub(super) fn measured(self) -> Self {
         Self { measured: true, ..self }
     }
