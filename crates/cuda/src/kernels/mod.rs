@@ -44,7 +44,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("observed.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
-    include_str!("muon.cu"),
+    include_str!("particle_training/muon.cu"),
     include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
