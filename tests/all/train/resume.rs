@@ -4,7 +4,7 @@ use std::{fs, num::NonZeroUsize, path::Path};
 
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_inference::engine::Surrogate;
-use eddy_learning::train::{Schedule, TrainConfig, UnrollStage, rollout_loss};
+use eddy_learning::train::{OptimizerKind, Schedule, TrainConfig, UnrollStage, rollout_loss};
 
 use super::{DT, dataset, files, interrupted, resume, run, small, stream, write_bag};
 use crate::support::{Process, eddy, succeed, talking_eddy, wait_for};
@@ -39,14 +39,14 @@ fn eventful(architecture: Architecture, core: Core) -> TrainConfig {
 
 #[test]
 fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
-    for (architecture, core, weights) in [
-        (Architecture::Particle, Core::MinGru, WeightFormat::F32),
-        (Architecture::Particle, Core::Lstm, WeightFormat::F16),
-        (Architecture::Frame, Core::MinLstm, WeightFormat::F16),
-        (Architecture::Frame, Core::Mlp, WeightFormat::F32),
+    for (architecture, core, weights, optimizer) in [
+        (Architecture::Particle, Core::MinGru, WeightFormat::F32, OptimizerKind::Muon),
+        (Architecture::Particle, Core::Lstm, WeightFormat::F16, OptimizerKind::Adam),
+        (Architecture::Frame, Core::MinLstm, WeightFormat::F16, OptimizerKind::Adam),
+        (Architecture::Frame, Core::Mlp, WeightFormat::F32, OptimizerKind::Muon),
     ] {
         let mut config = eventful(architecture, core);
-        config.network.weights = weights;
+        (config.network.weights, config.optimizer.kind) = (weights, optimizer);
         let (once, in_parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let whole = run(&config, &dataset(), once.path()).unwrap();
         let first = interrupted(&config, &dataset(), in_parts.path(), config.batches() + 5);

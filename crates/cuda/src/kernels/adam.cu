@@ -7,7 +7,7 @@ struct Place {
   int rows, columns;
   int bias, width;
   int tensor, tensors; // the first one, and how many
-  int orthogonal;      // 1: Muon changes the weights, Adam the biases only
+  int muon;            // 1: Muon changes the weights, Adam the biases only
 };
 
 // Sums of squares of the gradients: [tensors, CHUNKS], zero where there is no block. grid (at most CHUNKS, most tensors, matrices),
@@ -35,6 +35,8 @@ extern "C" __global__ void __launch_bounds__(256) clip(const float* __restrict__
   const float norm = sqrtf(total);
   scales[blockIdx.x] = !(norm <= 3.4e38f) ? 0.0f : (norm > longest ? longest / norm : 1.0f);
 }
+// A number of the running average `kept` of `weight`, by the schedule `now`.
+#define AVERAGE(q) kept.q = weight.q + now.kept * (kept.q - weight.q);
 // grid (ceil(most rows * columns / 4 / 256), 1, matrices), block 256
 extern "C" __global__ void __launch_bounds__(256) adam(const Place* __restrict__ places, float4* __restrict__ w, const float4* __restrict__ g, float4* __restrict__ first,
     float4* __restrict__ second, float4* __restrict__ average, const float* __restrict__ scales, const Schedule* __restrict__ schedule,
@@ -44,7 +46,7 @@ extern "C" __global__ void __launch_bounds__(256) adam(const Place* __restrict__
   if (number >= place.rows * wide) return;
   const Schedule& now = schedule[progress->step];
   const u32 row = number / wide, column = 4 * (number % wide), i = place.first / 4 + number;
-  if (place.orthogonal && (int)row < place.bias) return;
+  if (place.muon && (int)row < place.bias) return;
   const float scale = scales[place.tensor + 2 * (column / place.width) + ((int)row == place.bias)];
   if (scale == 0.0f) return; // a gradient that is not finite tells no direction; the host ends the run
   const float rate = now.rate, correction = now.correction;
@@ -60,7 +62,6 @@ extern "C" __global__ void __launch_bounds__(256) adam(const Place* __restrict__
   second[i] = square;
   if (average) {
     float4 kept = average[i];
-#define AVERAGE(q) kept.q = weight.q + now.kept * (kept.q - weight.q);
     AVERAGE(x) AVERAGE(y) AVERAGE(z) AVERAGE(w)
     average[i] = kept;
   }

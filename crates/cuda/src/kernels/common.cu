@@ -67,7 +67,7 @@ struct Schedule {
   float rate;        // learning rate, corrected for the first moment's start from zero
   float correction;  // 1 / sqrt(1 - beta_2^t)
   float kept;        // share of the weights' running average that stays
-  float plain_rate;  // learning rate as it is
+  float plain_rate;  // learning rate without that correction
   u32 dropout[8];    // key of the generator of dropout masks
 };
 

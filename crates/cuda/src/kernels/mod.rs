@@ -149,9 +149,9 @@ kernels! {
     Clip = "clip",
     /// Adam.
     Adam = "adam",
-    /// Muon: the momentum and its small product.
+    /// Muon: the momentum, and its product with its transpose.
     MuonGram = "muon_gram",
-    /// Its polynomial.
+    /// The polynomial of that product.
     MuonPolynomial = "muon_polynomial",
     /// The change of the weights.
     Muon = "muon",

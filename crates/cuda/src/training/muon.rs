@@ -1,8 +1,8 @@
 //! Muon on a device, for the weights of hidden layers.
 
-#![expect(unsafe_code, reason = "a struct that the device reads")]
+#![expect(unsafe_code, reason = "launches on memory of the device")]
 
-use super::Packing;
+use super::{Packing, Tables};
 use crate::{
     device::{Address, Argument, Buffer, Device, Queue, Shape},
     error::{CudaError, Result},
@@ -13,13 +13,13 @@ use crate::{
 const PARTS: usize = 8;
 /// Root mean square of a step at a learning rate of 1, as on the processor.
 const STEP: f32 = 0.2;
-/// Largest shorter side of a tensor, padding included: four square matrices fit into the shared memory of a block (227 KiB).
-const LARGEST: usize = 112;
+/// Shared memory that a block may have on an H100, beside a sum's (bytes).
+const SHARED: usize = 226 << 10;
 
-/// `struct Orthogonal` of the kernels.
+/// `struct MuonTensor` of the kernels.
 #[derive(Clone, Copy)]
 #[repr(C)]
-struct Orthogonal {
+struct MuonTensor {
     first: u32,
     rows: i32,
     columns: i32,
@@ -30,13 +30,13 @@ struct Orthogonal {
 }
 
 // SAFETY: numbers of 4 bytes without padding between them.
-unsafe impl bytemuck::Zeroable for Orthogonal {}
+unsafe impl bytemuck::Zeroable for MuonTensor {}
 // SAFETY: as above.
-unsafe impl bytemuck::Pod for Orthogonal {}
+unsafe impl bytemuck::Pod for MuonTensor {}
 
 /// The tensors that it changes, and memory for its products.
 pub(super) struct Muon {
-    /// `Orthogonal` of each.
+    /// `MuonTensor` of each.
     table: Buffer,
     /// Parts of the products of each with its transpose, `[PARTS, size, size]`; then the polynomial in place of the first one.
     grams: Buffer,
@@ -48,7 +48,7 @@ pub(super) struct Muon {
 }
 
 /// Where weights, their gradients, momentum and average are.
-pub(super) struct Numbers {
+pub(super) struct Buffers {
     pub(super) weights: Address,
     pub(super) gradients: Address,
     pub(super) momentum: Address,
@@ -71,12 +71,12 @@ impl Muon {
             let (rows, columns) = (matrix.bias, matrix.width);
             let sides = [rows.min(columns), rows.max(columns)];
             let [inputs, outputs] = matrix.shape(part);
-            if sides[0] > LARGEST {
+            if shared(sides).into_iter().any(|bytes| bytes > SHARED) {
                 let setting = format!("optimizer.kind = muon for {inputs} x {outputs} weights");
-                let expected = "at most 112 inputs or outputs";
+                let expected = "at most 120 inputs or at most 120 outputs";
                 return Err(CudaError::Unsupported { setting, expected });
             }
-            all.push(Orthogonal {
+            all.push(MuonTensor {
                 first: (matrix.first + part * columns) as u32,
                 rows: rows as i32,
                 columns: columns as i32,
@@ -100,31 +100,32 @@ impl Muon {
         })
     }
 
-    /// Calls `launch` with the kernels of a step, once gradients are measured and nothing needs the old weights any more.
+    /// A step, once gradients are measured and nothing needs the old weights any more.
     pub(super) fn change(
         &self,
-        numbers: &Numbers,
-        [schedule, progress]: [Address; 2],
-        launch: impl Fn(Queue, Kernel, Shape, &[Argument]) -> Result<()>,
+        device: &dyn Device,
+        buffers: &Buffers,
+        tables: &Tables,
     ) -> Result<()> {
-        let Numbers { weights, gradients, momentum, average, scales } = *numbers;
-        let [shorter, longer] = self.largest;
+        let Buffers { weights, gradients, momentum, average, scales } = *buffers;
         let (table, grams) = (self.table.address(), self.grams.address());
-        let rows = longer.div_ceil(PARTS);
+        let launch = |kernel, shape, arguments: &[Argument]| {
+            // SAFETY: each call passes the kernel's parameters in type and order; `new` has made the table and the products, for
+            // tensors within the other buffers.
+            unsafe { device.launch(Queue::Main, kernel, shape, arguments) }
+        };
+        let [rows, squares] = shared(self.largest);
         launch(
-            Queue::Main,
             Kernel::MuonGram,
-            Shape { shared: 4 * rows * shorter, ..Shape::new(PARTS, self.tensors, 256) },
+            Shape { shared: rows, ..Shape::new(PARTS, self.tensors, 256) },
             &[table.into(), gradients.into(), momentum.into(), scales.into(), grams.into()],
         )?;
         launch(
-            Queue::Main,
             Kernel::MuonPolynomial,
-            Shape { shared: 16 * shorter * shorter, ..Shape::new(self.tensors, 1, 256) },
+            Shape { shared: squares, ..Shape::new(self.tensors, 1, 256) },
             &[table.into(), scales.into(), grams.into()],
         )?;
         launch(
-            Queue::Main,
             Kernel::Muon,
             Shape::new((self.most / 4).div_ceil(256), self.tensors, 256),
             &[
@@ -135,9 +136,14 @@ impl Muon {
                 average.into(),
                 scales.into(),
                 grams.into(),
-                schedule.into(),
-                progress.into(),
+                tables.schedule.address().into(),
+                tables.progress.address().into(),
             ],
         )
     }
+}
+
+/// Shared memory of a block for a tensor's part and for its polynomial, by the tensor's shorter and longer side (bytes).
+fn shared([shorter, longer]: [usize; 2]) -> [usize; 2] {
+    [4 * longer.div_ceil(PARTS) * shorter, 4 * 4 * shorter * shorter]
 }

@@ -8,7 +8,7 @@ use eddy_inference::checkpoint::Weights;
 
 use super::{
     CHUNKS, Matrix, Packing, Settings, Tables,
-    muon::{Muon, Numbers},
+    muon::{Buffers, Muon},
 };
 use crate::{
     device::{Address, Argument, Buffer, Device, Queue, Shape},
@@ -56,9 +56,8 @@ impl Optimizer {
         let place = |matrix: &Matrix| -> [u32; PLACE] {
             let Matrix { first, rows, columns, bias, width, tensor, .. } = *matrix;
             // All parts of a matrix are hidden, or none.
-            let orthogonal = usize::from(settings.muon && matrix.is_hidden(0));
-            [first, rows, columns, bias, width, tensor, matrix.tensors(), orthogonal]
-                .map(|n| n as u32)
+            let muon = usize::from(settings.muon && matrix.is_hidden(0));
+            [first, rows, columns, bias, width, tensor, matrix.tensors(), muon].map(|n| n as u32)
         };
         let all: Vec<_> = packing.matrices().iter().map(place).collect();
         let places = device.allocate(size_of_val(all.as_slice()))?;
@@ -86,7 +85,7 @@ impl Optimizer {
         self.device.write(&self.weights, 0, bytemuck::cast_slice(all))
     }
 
-    /// Puts what Adam remembers of each tensor onto the device: first and second moments and the weights' running
+    /// Puts what the optimizer remembers of each tensor onto the device: first and second moments and the weights' running
     /// average, in the order of checkpoints' layers, matrices as `[in, out]`; empty before a tensor's first step.
     ///
     /// # Errors
@@ -219,17 +218,14 @@ impl Optimizer {
     /// Muon for the weights of all hidden layers, which Adam leaves as they are; nothing if it was not asked for.
     pub(crate) fn change_hidden(&self, tables: &Tables) -> Result<()> {
         let Some(muon) = &self.muon else { return Ok(()) };
-        let numbers = Numbers {
+        let buffers = Buffers {
             weights: self.weights.address(),
             gradients: self.gradients.address(),
             momentum: self.first.address(),
             average: self.average.as_ref().map_or(Address::NULL, Buffer::address),
             scales: self.scales.address(),
         };
-        let schedule = [tables.schedule.address(), tables.progress.address()];
-        muon.change(&numbers, schedule, |queue, kernel, shape, arguments| {
-            self.launch(queue, kernel, shape, arguments)
-        })
+        muon.change(&*self.device, &buffers, tables)
     }
 
     /// Where the place of a matrix is, before those of the following ones.

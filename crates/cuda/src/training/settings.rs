@@ -69,7 +69,7 @@ pub struct Batch {
     pub windows: Vec<Window>,
     /// Learning rate, corrected for the first moment's start from zero.
     pub rate: f32,
-    /// Learning rate as it is, for Muon.
+    /// Learning rate without that correction, for Muon.
     pub plain_rate: f32,
     /// 1 / sqrt(1 - beta_2^t).
     pub correction: f32,

@@ -173,6 +173,23 @@ fn the_frame_model_is_not_conditioned_on_the_stiffness() {
 }
 
 #[test]
+fn all_weights_but_the_first_and_the_last_are_hidden() {
+    for (architecture, particles) in
+        [(Architecture::Frame, Some(3)), (Architecture::Particle, None)]
+    {
+        for core in Core::ALL {
+            let sizes = Sizes { encoder: 2, hidden: 2, layers: 2, particles };
+            let description = Description::untrained(architecture, core, sizes);
+            let layers = layout::linear_layers(&description);
+            let hidden: Vec<_> =
+                layers.iter().map(|layer| layout::is_hidden(&layer.weight)).collect();
+            let [first, inner @ .., last] = hidden.as_slice() else { panic!("{hidden:?}") };
+            assert!(!first && !last && inner.iter().all(|&hidden| hidden), "{hidden:?}");
+        }
+    }
+}
+
+#[test]
 fn the_digest_is_the_hash_of_the_two_files() {
     let folder = tempfile::tempdir().unwrap();
     let checkpoint = checkpoint();

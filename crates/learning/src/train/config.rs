@@ -176,7 +176,8 @@ pub enum OptimizerKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OptimizerConfig {
-    /// Method. On CUDA, Muon is for the particle model only, with layers of at most 112 inputs or outputs.
+    /// Method. On CUDA, Muon is for the particle model only, with layers of which inputs or outputs are at most 120 (on an H100; GPUs
+    /// whose blocks have less shared memory allow fewer).
     #[serde(default)]
     pub kind: OptimizerKind,
     /// Largest learning rate.

@@ -227,7 +227,7 @@ fn compare(config: &TrainConfig, streams: &[Trajectory]) {
         assert!(difference < 2e-5, "step {step}: loss {} on the CPU, {}", slope.loss, outcome.loss);
         let gradients = training.gradients().unwrap();
         let near = named(&description, near);
-        for (name, expected) in named(&description, slope.gradients.clone()) {
+        for (name, expected) in named(&description, slope.gradients) {
             let found = relative_error(&gradients[&name].values, &expected);
             let most = 2e-5 + 2.0 * relative_error(&near[&name], &expected);
             assert!(
@@ -490,10 +490,10 @@ fn what_a_gpu_cannot_do_for_the_particle_model_is_refused() {
 fn layers_too_wide_for_muon_are_refused() {
     let mut config = config(Core::MinGru);
     config.optimizer.kind = OptimizerKind::Muon;
-    config.network.channels = vec![6, 120, 7];
+    config.network.channels = vec![6, 124, 7];
     let description = description(&config);
     let stages = [cuda::settings(&config, 2, 1)];
     let refused = particle::footprint::bytes(&description, &stages, &[(100, 10)]).unwrap_err();
-    let expected = "optimizer.kind = muon for 1080 x 120 weights";
+    let expected = "optimizer.kind = muon for 1116 x 124 weights";
     assert!(refused.to_string().contains(expected), "{refused}");
 }

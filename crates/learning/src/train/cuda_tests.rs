@@ -6,7 +6,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    LossKind, NoiseConfig, TrainConfig, UnrollStage, cuda,
+    LossKind, NoiseConfig, OptimizerKind, TrainConfig, UnrollStage, cuda,
     gradients::GradientTask,
     loss_weights::{LossScale, TrivialSums},
     state::RunState,
@@ -387,4 +387,15 @@ fn gpus_do_not_cut_gradients_of_the_frame_model() {
     let bytes = frame::footprint::bytes(&description(&config), &settings, 10, Place::Device);
     let refused = bytes.unwrap_err().to_string();
     assert!(refused.contains("truncation = 2 for the frame model"), "{refused}");
+}
+
+#[test]
+fn muon_on_gpus_is_not_for_the_frame_model() {
+    let mut config = config(Core::MinGru);
+    config.optimizer.kind = OptimizerKind::Muon;
+    assert!(!config.runs_on_gpus());
+    let settings = [cuda::settings(&config, 3, 1)];
+    let bytes = frame::footprint::bytes(&description(&config), &settings, 10, Place::Device);
+    let refused = bytes.unwrap_err().to_string();
+    assert!(refused.contains("optimizer.kind = muon for the frame model"), "{refused}");
 }

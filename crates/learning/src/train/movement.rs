@@ -105,6 +105,12 @@ mod tests {
         let even = of(1e-8);
         assert!((even.epsilon_share - 0.5).abs() < 1e-6, "{even:?}");
         assert_eq!(even.warning(&config), None);
+        // Muon has no epsilon.
+        let moments =
+            vec![Moments { first: vec![1e-12; 2], second: vec![0.0; 2], average: Vec::new() }];
+        let muon = Optimizer { steps: 9, moments, matrices: vec![Some([1, 2])] };
+        let moved = Movement::of(&weights(&[3.0, 4.0]), &weights(&[3.0, 4.5]), &muon, &config);
+        assert_eq!(moved.epsilon_share, 0.0);
         let before =
             Movement::of(&weights(&[1.0]), &weights(&[1.0]), &Optimizer::default(), &config);
         assert_eq!(before, Movement { distance: 0.0, epsilon_share: 0.0 });

@@ -1,16 +1,18 @@
-//! Muon (Jordan et al. 2024, "Muon: An optimizer for hidden layers in neural networks"): momentum whose matrix is made nearly
-//! orthogonal, so that a step moves all its directions alike, also those in which gradients are small.
+//! Muon (Jordan et al. 2024, "Muon: An optimizer for hidden layers in neural networks"): Nesterov's momentum, made nearly
+//! orthogonal as a matrix, so that a step moves all its directions alike, also those in which gradients are small.
 //!
 //! The Newton-Schulz iteration X <- a X + b (X X^T) X + c (X X^T)^2 X only multiplies X by polynomials of X X^T. Here these are
-//! computed from the smaller of X X^T and X^T X alone, and multiply the momentum once.
+//! computed from the smaller of X X^T and X^T X alone, and multiply the momentum once. On GPUs: `muon.cu` of eddy-cuda.
 
 use eddy_inference::kernels::matrix::{Matrix, product};
 
 /// Decay of the momentum, which is Nesterov's.
 const MOMENTUM: f32 = 0.95;
-/// a, b and c: of the published coefficients, which bring singular values to between .7 and 1.2 in [`ITERATIONS`].
+/// a, b and c as published: in [`ITERATIONS`], they bring singular values from .003 of the norm on to between .65 and 1.25.
 const POLYNOMIAL: [f32; 3] = [3.4445, -4.7750, 2.0315];
 const ITERATIONS: usize = 5;
+/// Smallest norm that the momentum is divided by, so that vanishing gradients do not move the weights (`torch.optim.Muon`'s).
+const EPSILON: f32 = 1e-7;
 /// Root mean square of a step at a learning rate of 1, about that of Adam (Liu et al. 2025, "Muon is scalable for LLM training").
 const STEP: f32 = 0.2;
 
@@ -39,7 +41,7 @@ pub(super) fn change(
     }
 }
 
-/// The matrix with its singular values brought to about 1; zeros if it is zero.
+/// The matrix with its singular values brought to about 1.
 fn orthogonalized(values: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
     let whole = Matrix::new(values, rows, columns);
     let wide = rows <= columns;
@@ -48,11 +50,9 @@ fn orthogonalized(values: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
         false => (columns, product(whole.transposed(), whole)),
     };
     let square: f32 = gram.iter().step_by(size + 1).sum();
-    if square == 0.0 {
-        return vec![0.0; values.len()];
-    }
+    let norm = square.sqrt().max(EPSILON);
     // Of X = values / norm, whose singular values are at most 1.
-    gram.iter_mut().for_each(|value| *value /= square);
+    gram.iter_mut().for_each(|value| *value /= norm * norm);
     let times =
         |a: &[f32], b: &[f32]| product(Matrix::new(a, size, size), Matrix::new(b, size, size));
     let mut all: Option<Vec<f32>> = None;
@@ -62,7 +62,6 @@ fn orthogonalized(values: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
         all = Some(all.map_or(factor.clone(), |all| times(&factor, &all)));
     }
     let mut all = all.unwrap_or_default();
-    let norm = square.sqrt();
     all.iter_mut().for_each(|value| *value /= norm);
     let all = Matrix::new(&all, size, size);
     if wide { product(all, whole) } else { product(whole, all) }
@@ -147,15 +146,24 @@ mod tests {
 
     #[test]
     fn a_step_has_the_size_of_the_rate_and_leads_down_the_gradient() {
-        let gradient = [3.0, 0.0, 0.0, -1e-4, 0.0, 0.0];
+        let gradient = [3.0, 0.0, 0.0, -0.03, 0.0, 0.0];
         let (mut values, mut momentum) = ([0.0; 6], [0.0; 6]);
-        change([3, 2], &mut values, &gradient, &mut momentum, 1.0, 0.1);
-        // At most .2 x .1 x sqrt(3) x 1.25.
-        assert!(values[0] < -0.02 && values[0] > -0.045, "{values:?}");
-        assert_eq!(momentum, gradient);
-        let mut unchanged = [1.0; 4];
-        change([2, 2], &mut unchanged, &[0.0; 4], &mut [0.0; 4], 1.0, 0.1);
-        assert_eq!(unchanged, [1.0; 4]);
+        change([3, 2], &mut values, &gradient, &mut momentum, 0.5, 0.1);
+        // .2 x .1 x sqrt(3) is .035, times .65 to 1.25 for each singular value.
+        for (value, sign) in [(values[0], -1.0), (values[3], 1.0)] {
+            assert!((0.0225..0.0434).contains(&(sign * value)), "{values:?}");
+        }
+        assert_eq!(momentum, [1.5, 0.0, 0.0, -0.015, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn vanishing_gradients_do_not_move_the_weights() {
+        for size in [0.0, 1e-30, 1e-21, 1e-12] {
+            let mut values = [0.0; 4];
+            let gradient = [size, 0.0, 0.0, -size];
+            change([2, 2], &mut values, &gradient, &mut [0.0; 4], 1.0, 0.1);
+            assert!(values.iter().all(|value| value.abs() < 1e-3), "{size}: {values:?}");
+        }
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub(super) struct Correction {
     pub(super) rate: f32,
     /// Square root of the bias correction of the second moment.
     pub(super) root: f32,
-    /// Learning rate as it is, for Muon.
+    /// Learning rate without that correction, for Muon.
     pub(super) plain_rate: f32,
     /// Decay of the average.
     pub(super) kept: f32,
@@ -92,7 +92,7 @@ impl Optimizer {
     }
 
     /// The moments of the tensors that Adam changes.
-    pub(super) fn moments_of_adam(&self) -> impl Iterator<Item = &Moments> + Clone {
+    pub(super) fn moments_of_adam(&self) -> impl Iterator<Item = &Moments> {
         let moments = self.moments.iter().enumerate();
         moments.filter(|&(tensor, _)| self.matrix(tensor).is_none()).map(|(_, moments)| moments)
     }

@@ -168,7 +168,8 @@ impl BurnSteps {
                 Task::Frame { batch: Box::new(batch), loss: config.loss.clone(), domain }
             }
         };
-        Self { network, task, optimizer: Optimizer::default(), settings: config.optimizer }
+        let optimizer = Optimizer::new(&config, &description);
+        Self { network, task, optimizer, settings: config.optimizer }
     }
 
     /// Forward pass, loss, backward pass and optimizer step. Returns the loss before the step.

@@ -1,10 +1,12 @@
 // Muon (Jordan et al. 2024) for the weights of hidden layers, launched by `training/muon.rs`; `muon.rs` of eddy-learning on the
 // processor. The momentum U of a tensor is multiplied by polynomials of the smaller of U U^T and U^T U, which is `size` wide, so that
 // its singular values come to about 1.
-#define MUON_PARTS 8
+#define MUON_PARTS 8 // PARTS of the host
+// As on the processor:
 #define MUON_MOMENTUM 0.95f
 #define MUON_ITERATIONS 5
-struct Orthogonal {
+#define MUON_EPSILON 1e-7f
+struct MuonTensor {
   u32 first;          // where its numbers begin within all
   int rows, columns;  // padding included
   int stride;         // numbers from a row to the next one
@@ -12,17 +14,17 @@ struct Orthogonal {
   u32 gram;           // where the parts of its small product begin within those of all, [MUON_PARTS, size, size]
   float step;         // what an orthogonal matrix is multiplied by, beside the learning rate
 };
-__device__ __forceinline__ int shorter(const Orthogonal& tensor) { return min(tensor.rows, tensor.columns); }
-__device__ __forceinline__ int longer(const Orthogonal& tensor) { return max(tensor.rows, tensor.columns); }
-__device__ __forceinline__ bool is_wide(const Orthogonal& tensor) { return tensor.rows < tensor.columns; }
+__device__ __forceinline__ int shorter(const MuonTensor& tensor) { return min(tensor.rows, tensor.columns); }
+__device__ __forceinline__ int longer(const MuonTensor& tensor) { return max(tensor.rows, tensor.columns); }
+__device__ __forceinline__ bool is_wide(const MuonTensor& tensor) { return tensor.rows < tensor.columns; }
 __device__ __forceinline__ float nesterov(float momentum, float gradient) { return MUON_MOMENTUM * momentum + gradient; }
 
 // Changes the momentum, and a part of the small product. grid (MUON_PARTS, tensors), block 256, shared memory:
 // ceil(longest / MUON_PARTS) rows of the largest size
-extern "C" __global__ void __launch_bounds__(256) muon_gram(const Orthogonal* __restrict__ tensors, const float* __restrict__ gradients, float* __restrict__ momentum, const float* __restrict__ scales,
+extern "C" __global__ void __launch_bounds__(256) muon_gram(const MuonTensor* __restrict__ tensors, const float* __restrict__ gradients, float* __restrict__ momentum, const float* __restrict__ scales,
     float* __restrict__ grams) {
   DYNAMIC_SHARED(float, rows);
-  const Orthogonal tensor = tensors[blockIdx.y];
+  const MuonTensor tensor = tensors[blockIdx.y];
   const float scale = scales[tensor.tensor];
   if (scale == 0.0f) return; // as in `adam`
   const int size = shorter(tensor), length = longer(tensor), each = (length + MUON_PARTS - 1) / MUON_PARTS;
@@ -46,7 +48,8 @@ extern "C" __global__ void __launch_bounds__(256) muon_gram(const Orthogonal* __
   }
 }
 
-// c = a b for symmetric a, by a block of 256 threads, tiles of 4 x 4 each.
+// c = a b by a block of 256 threads, tiles of 4 x 4 each: `size` is a multiple of 4, and a symmetric, as all polynomials of the small
+// product and their products are.
 __device__ __forceinline__ void symmetric_product(const float* a, const float* b, float* c, int size) {
   const int wide = size / 4;
   for (int tile = threadIdx.x; tile < wide * wide; tile += 256) {
@@ -68,9 +71,9 @@ __device__ __forceinline__ void symmetric_product(const float* a, const float* b
 
 // The polynomial of the small product, in place of its first part. grid tensors, block 256, shared memory: four matrices of the
 // largest size
-extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const Orthogonal* __restrict__ tensors, const float* __restrict__ scales, float* __restrict__ grams) {
+extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const MuonTensor* __restrict__ tensors, const float* __restrict__ scales, float* __restrict__ grams) {
   DYNAMIC_SHARED(float, shared);
-  const Orthogonal tensor = tensors[blockIdx.x];
+  const MuonTensor tensor = tensors[blockIdx.x];
   if (scales[tensor.tensor] == 0.0f) return;
   const int size = shorter(tensor), n = size * size;
   float *gram = shared, *factor = gram + n, *all = factor + n, *other = all + n, *parts = grams + tensor.gram;
@@ -82,8 +85,8 @@ extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const Orthogon
     if (i / size == i % size) trace += sum;
   }
   const float square = block_sum(trace);
-  const float inverse = square > 0.0f ? 1.0f / square : 0.0f;
-  for (int i = threadIdx.x; i < n; i += 256) gram[i] *= inverse;
+  const float norm = fmaxf(sqrtf(square), MUON_EPSILON);
+  for (int i = threadIdx.x; i < n; i += 256) gram[i] /= norm * norm;
   __syncthreads();
   for (int iteration = 0; iteration < MUON_ITERATIONS; iteration++) {
     symmetric_product(gram, gram, other, size);
@@ -102,14 +105,13 @@ extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const Orthogon
       other = swapped;
     }
   }
-  const float scale = square > 0.0f ? 1.0f / sqrtf(square) : 0.0f;
-  for (int i = threadIdx.x; i < n; i += 256) parts[i] = scale * all[i];
+  for (int i = threadIdx.x; i < n; i += 256) parts[i] = all[i] / norm;
 }
 
 // Changes weights and their average. grid (ceil(most rows * columns / 4 / 256), tensors), block 256
-extern "C" __global__ void __launch_bounds__(256) muon(const Orthogonal* __restrict__ tensors, float* __restrict__ weights, const float* __restrict__ gradients, const float* __restrict__ momentum,
+extern "C" __global__ void __launch_bounds__(256) muon(const MuonTensor* __restrict__ tensors, float* __restrict__ weights, const float* __restrict__ gradients, const float* __restrict__ momentum,
     float* __restrict__ average, const float* __restrict__ scales, const float* __restrict__ grams, const Schedule* __restrict__ schedule, const Progress* __restrict__ progress) {
-  const Orthogonal tensor = tensors[blockIdx.y];
+  const MuonTensor tensor = tensors[blockIdx.y];
   const int number = blockIdx.x * 256 + threadIdx.x, wide = tensor.columns / 4;
   const float scale = scales[tensor.tensor];
   if (number >= tensor.rows * wide || scale == 0.0f) return;
