@@ -355,11 +355,19 @@ fn truncated_backpropagation_takes_the_steps_of_the_cpu() {
 fn two_devices_take_the_steps_of_one_with_both_parts_of_the_batch() {
     let mut config = config(Core::MinGru);
     config.windows.batch = 4;
-    let (streams, description) = (streams(), description(&config));
+    compare_devices(&config, 1e-5);
+    config.optimizer.kind = OptimizerKind::Muon;
+    // As in `compare`, from gradients that are added in another order; other ones would move the biases, 0 at first, elsewhere.
+    compare_devices(&config, 5e-3);
+}
+
+/// Steps of one device and of two, whose losses and weights are at most so far apart (relative).
+fn compare_devices(config: &TrainConfig, most: f64) {
+    let (streams, description) = (streams(), description(config));
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
-    let mut state = RunState::new(&config, &description, DeviceKind::Flex);
-    let scale = scale(&config, &description, &sampler, &mut state);
+    let mut state = RunState::new(config, &description, DeviceKind::Flex);
+    let scale = scale(config, &description, &sampler, &mut state);
     let draws: Vec<_> = (0..3).map(|_| sampler.choose_many(4, &mut state.order)).collect();
     let steps = |devices: usize, rank: usize| -> Vec<_> {
         let step = |(number, draws): (usize, &Vec<_>)| {
@@ -375,12 +383,12 @@ fn two_devices_take_the_steps_of_one_with_both_parts_of_the_batch() {
         training.start(&batches).unwrap();
         (training.outcomes(batches.len()).unwrap(), training.weights().unwrap())
     };
-    let expected = run(training(&config, &description, &streams), steps(1, 0));
+    let expected = run(training(config, &description, &streams), steps(1, 0));
 
     let devices = Emulator::group(&TrainingConstants::of(&description).unwrap(), 2).unwrap();
     let found = std::thread::scope(|scope| {
         let start = |(rank, device)| {
-            let (config, description, streams) = (&config, &description, &streams);
+            let (description, streams) = (&description, &streams);
             let (run, batches) = (&run, steps(2, rank));
             scope.spawn(move || run(training_on(device, config, description, streams), batches))
         };
@@ -390,13 +398,13 @@ fn two_devices_take_the_steps_of_one_with_both_parts_of_the_batch() {
     assert!(found[0] == found[1], "both have the same bits");
     for (found, expected) in found[0].0.iter().zip(&expected.0) {
         assert!(
-            (f64::from(found.loss / expected.loss) - 1.0).abs() < 1e-5,
+            (f64::from(found.loss / expected.loss) - 1.0).abs() < most,
             "{found:?}, {expected:?}"
         );
     }
     for (name, expected) in &expected.1 {
         let apart = relative_error(&found[0].1[name].values, &expected.values);
-        assert!(apart < 1e-5, "{name}: relative error {apart:.1e}");
+        assert!(apart < most, "{name}: relative error {apart:.1e}");
     }
 }
 
