@@ -1,6 +1,6 @@
 //! The particle model's training on a GPU: `check` compares small networks of every core with the emulator and two runs with each
-//! other, minGRU with Muon too; `time` times steps of the usual network, `time muon` with Muon; `profile` adds the times of its kernels up, launched one after the other;
-//! `once` takes one step, for a profiler.
+//! other, minGRU with Muon too; `time` times steps of the usual network, `time muon` with Muon; `profile` adds the times of its
+//! kernels up, launched one after the other; `once` takes one step, for a profiler.
 
 #![expect(unsafe_code, reason = "a device that passes launches on")]
 

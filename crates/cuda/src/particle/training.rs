@@ -1,4 +1,4 @@
-//! Training steps of the particle model: windows out of the store, forward, loss, backward, Adam.
+//! Training steps of the particle model: windows out of the store, forward, loss, backward, optimizer.
 //!
 //! The warm-up's W frames go through the network together, but for its core; each further frame goes alone, from the prediction
 //! before. The backward pass takes these frames in the reverse order. Everything that it needs is kept, and so are the gradients

@@ -41,8 +41,8 @@ pub(super) struct Muon {
     /// Parts of the products of each with its transpose, `[PARTS, size, size]`; then the polynomial in place of the first one.
     grams: Buffer,
     tensors: usize,
-    /// Largest shorter and longer side.
-    largest: [usize; 2],
+    /// Shared memory of a block, as of [`shared`], at most.
+    shared: [usize; 2],
     /// Most numbers of a tensor.
     most: usize,
 }
@@ -62,7 +62,7 @@ impl Muon {
     /// # Errors
     /// [`CudaError::Unsupported`] for a layer that is too wide, [`CudaError::Call`].
     pub(super) fn new(device: &dyn Device, packing: &Packing) -> Result<Self> {
-        let (mut all, mut grams, mut largest) = (Vec::new(), 0, [0; 2]);
+        let (mut all, mut grams, mut most_shared) = (Vec::new(), 0, [0; 2]);
         let parts = packing
             .matrices()
             .iter()
@@ -71,7 +71,8 @@ impl Muon {
             let (rows, columns) = (matrix.bias, matrix.width);
             let sides = [rows.min(columns), rows.max(columns)];
             let [inputs, outputs] = matrix.shape(part);
-            if shared(sides).into_iter().any(|bytes| bytes > SHARED) {
+            let needed = shared(sides);
+            if needed.into_iter().any(|bytes| bytes > SHARED) {
                 let setting = format!("optimizer.kind = muon for {inputs} x {outputs} weights");
                 let expected = "at most 120 inputs or at most 120 outputs";
                 return Err(CudaError::Unsupported { setting, expected });
@@ -86,7 +87,7 @@ impl Muon {
                 step: STEP * (inputs.max(outputs) as f32).sqrt(),
             });
             grams += PARTS * sides[0] * sides[0];
-            largest = [0, 1].map(|side| largest[side].max(sides[side]));
+            most_shared = [0, 1].map(|kernel| needed[kernel].max(most_shared[kernel]));
         }
         let table = device.allocate(size_of_val(all.as_slice()))?;
         device.write(&table, 0, bytemuck::cast_slice(&all))?;
@@ -95,7 +96,7 @@ impl Muon {
             table,
             grams: device.allocate(4 * grams)?,
             tensors: all.len(),
-            largest,
+            shared: most_shared,
             most: most.unwrap_or_default(),
         })
     }
@@ -114,7 +115,7 @@ impl Muon {
             // tensors within the other buffers.
             unsafe { device.launch(Queue::Main, kernel, shape, arguments) }
         };
-        let [rows, squares] = shared(self.largest);
+        let [rows, squares] = self.shared;
         launch(
             Kernel::MuonGram,
             Shape { shared: rows, ..Shape::new(PARTS, self.tensors, 256) },

@@ -19,7 +19,8 @@ pub(super) struct Movement {
     /// Distance of the weights from the initial ones, relative to the norm of these.
     pub(super) distance: f64,
     /// Mean of epsilon / (root + epsilon) over the weights, root being that of the corrected second moment: the share of a step
-    /// of Adam that its epsilon takes away. 0 before the first step. Without the weights that Muon changes, as it has no epsilon.
+    /// of Adam that its epsilon takes away. 0 before the first step. Without the weights that Muon changes: the size of
+    /// its steps does not depend on that of gradients.
     pub(super) epsilon_share: f64,
 }
 
@@ -105,7 +106,7 @@ mod tests {
         let even = of(1e-8);
         assert!((even.epsilon_share - 0.5).abs() < 1e-6, "{even:?}");
         assert_eq!(even.warning(&config), None);
-        // Muon has no epsilon.
+        // Muon's steps are not smaller where gradients are.
         let moments =
             vec![Moments { first: vec![1e-12; 2], second: vec![0.0; 2], average: Vec::new() }];
         let muon = Optimizer { steps: 9, moments, matrices: vec![Some([1, 2])] };

@@ -55,13 +55,13 @@ fn orthogonalized(values: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
     gram.iter_mut().for_each(|value| *value /= norm * norm);
     let times =
         |a: &[f32], b: &[f32]| product(Matrix::new(a, size, size), Matrix::new(b, size, size));
-    let mut all: Option<Vec<f32>> = None;
-    for _ in 0..ITERATIONS {
-        let factor = polynomial(&gram, &times(&gram, &gram), size);
+    let mut factor = polynomial(&gram, &times(&gram, &gram), size);
+    let mut all = factor.clone();
+    for _ in 1..ITERATIONS {
         gram = times(&times(&gram, &factor), &factor);
-        all = Some(all.map_or(factor.clone(), |all| times(&factor, &all)));
+        factor = polynomial(&gram, &times(&gram, &gram), size);
+        all = times(&factor, &all);
     }
-    let mut all = all.unwrap_or_default();
     all.iter_mut().for_each(|value| *value /= norm);
     let all = Matrix::new(&all, size, size);
     if wide { product(all, whole) } else { product(whole, all) }

@@ -17,7 +17,8 @@ struct MuonTensor {
 __device__ __forceinline__ int shorter(const MuonTensor& tensor) { return min(tensor.rows, tensor.columns); }
 __device__ __forceinline__ int longer(const MuonTensor& tensor) { return max(tensor.rows, tensor.columns); }
 __device__ __forceinline__ bool is_wide(const MuonTensor& tensor) { return tensor.rows < tensor.columns; }
-__device__ __forceinline__ float nesterov(float momentum, float gradient) { return MUON_MOMENTUM * momentum + gradient; }
+// The momentum after a gradient; and, from that momentum, Nesterov's.
+__device__ __forceinline__ float decayed_sum(float momentum, float gradient) { return MUON_MOMENTUM * momentum + gradient; }
 
 // Changes the momentum, and a part of the small product. grid (MUON_PARTS, tensors), block 256, shared memory:
 // ceil(longest / MUON_PARTS) rows of the largest size
@@ -29,14 +30,14 @@ extern "C" __global__ void __launch_bounds__(256) muon_gram(const MuonTensor* __
   if (scale == 0.0f) return; // as in `adam`
   const int size = shorter(tensor), length = longer(tensor), each = (length + MUON_PARTS - 1) / MUON_PARTS;
   const int from = min((int)blockIdx.x * each, length), count = min(from + each, length) - from;
+  const bool wide = is_wide(tensor);
   for (int i = threadIdx.x; i < count * size; i += 256) {
     // Neighbours in memory to neighbouring threads.
-    const bool wide = is_wide(tensor);
     const int across = wide ? i / count : i % size, along = wide ? i % count : i / size;
     const u32 place = tensor.first + (wide ? (u32)across * tensor.stride + from + along : (u32)(from + along) * tensor.stride + across);
-    const float gradient = scale * gradients[place], changed = MUON_MOMENTUM * momentum[place] + gradient;
+    const float gradient = scale * gradients[place], changed = decayed_sum(momentum[place], gradient);
     momentum[place] = changed;
-    rows[along * size + across] = nesterov(changed, gradient);
+    rows[along * size + across] = decayed_sum(changed, gradient);
   }
   __syncthreads();
   float* gram = grams + tensor.gram + (size_t)blockIdx.x * size * size;
@@ -69,6 +70,14 @@ __device__ __forceinline__ void symmetric_product(const float* a, const float* b
   __syncthreads();
 }
 
+// factor = a I + b gram + c gram^2, whose square comes by way of `other`.
+__device__ __forceinline__ void polynomial_of(const float* gram, float* other, float* factor, int size) {
+  symmetric_product(gram, gram, other, size);
+  for (int i = threadIdx.x; i < size * size; i += 256)
+    factor[i] = -4.7750f * gram[i] + 2.0315f * other[i] + (i / size == i % size ? 3.4445f : 0.0f);
+  __syncthreads();
+}
+
 // The polynomial of the small product, in place of its first part. grid tensors, block 256, shared memory: four matrices of the
 // largest size
 extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const MuonTensor* __restrict__ tensors, const float* __restrict__ scales, float* __restrict__ grams) {
@@ -88,22 +97,16 @@ extern "C" __global__ void __launch_bounds__(256) muon_polynomial(const MuonTens
   const float norm = fmaxf(sqrtf(square), MUON_EPSILON);
   for (int i = threadIdx.x; i < n; i += 256) gram[i] /= norm * norm;
   __syncthreads();
-  for (int iteration = 0; iteration < MUON_ITERATIONS; iteration++) {
-    symmetric_product(gram, gram, other, size);
-    for (int i = threadIdx.x; i < n; i += 256)
-      factor[i] = -4.7750f * gram[i] + 2.0315f * other[i] + (i / size == i % size ? 3.4445f : 0.0f);
-    __syncthreads();
+  polynomial_of(gram, other, factor, size);
+  for (int i = threadIdx.x; i < n; i += 256) all[i] = factor[i];
+  for (int iteration = 1; iteration < MUON_ITERATIONS; iteration++) {
     symmetric_product(gram, factor, other, size);
     symmetric_product(other, factor, gram, size);
-    if (iteration == 0) {
-      for (int i = threadIdx.x; i < n; i += 256) all[i] = factor[i];
-      __syncthreads();
-    } else {
-      symmetric_product(factor, all, other, size);
-      float* swapped = all;
-      all = other;
-      other = swapped;
-    }
+    polynomial_of(gram, other, factor, size);
+    symmetric_product(factor, all, other, size);
+    float* swapped = all;
+    all = other;
+    other = swapped;
   }
   for (int i = threadIdx.x; i < n; i += 256) parts[i] = all[i] / norm;
 }
@@ -123,13 +126,13 @@ extern "C" __global__ void __launch_bounds__(256) muon(const MuonTensor* __restr
       const u32 place = tensor.first + (u32)k * tensor.stride + column;
       const float4 m = *(const float4*)(momentum + place), g = *(const float4*)(gradients + place);
       const float by = polynomial[row * size + k];
-      sum.x = fmaf(by, nesterov(m.x, scale * g.x), sum.x);
-      sum.y = fmaf(by, nesterov(m.y, scale * g.y), sum.y);
-      sum.z = fmaf(by, nesterov(m.z, scale * g.z), sum.z);
-      sum.w = fmaf(by, nesterov(m.w, scale * g.w), sum.w);
+      sum.x = fmaf(by, decayed_sum(m.x, scale * g.x), sum.x);
+      sum.y = fmaf(by, decayed_sum(m.y, scale * g.y), sum.y);
+      sum.z = fmaf(by, decayed_sum(m.z, scale * g.z), sum.z);
+      sum.w = fmaf(by, decayed_sum(m.w, scale * g.w), sum.w);
     } else {
       const u32 place = tensor.first + (u32)row * tensor.stride + k;
-      const float u = nesterov(momentum[place], scale * gradients[place]);
+      const float u = decayed_sum(momentum[place], scale * gradients[place]);
       const float4 by = *(const float4*)(polynomial + k * size + column);
       sum.x = fmaf(u, by.x, sum.x);
       sum.y = fmaf(u, by.y, sum.y);
