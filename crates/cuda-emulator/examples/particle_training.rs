@@ -1,6 +1,7 @@
 //! The particle model's training on a GPU: `check` compares small networks of every core with the emulator and two runs with each
-//! other, minGRU with Muon too; `time` times steps of the usual network, `time muon` with Muon; `profile` adds the times of its
-//! kernels up, launched one after the other; `once` takes one step, for a profiler.
+//! other, minGRU with Muon too (`check muon`: that alone, since the emulator takes minutes for all); `time` times steps of the
+//! usual network, `time muon 32` with Muon and 32 windows; `profile` adds the times of its kernels up, launched one after the
+//! other; `once` takes one step, for a profiler.
 
 #![expect(unsafe_code, reason = "a device that passes launches on")]
 
@@ -29,6 +30,8 @@ use eddy_inference::{
 };
 use problem::{Noise, Result, worst};
 
+/// The argument for the optimizer.
+const MUON: &str = "muon";
 /// Distance of particles at rest (domain lengths).
 const SPACING: f32 = 1.0 / 128.0;
 /// Frames of a stream.
@@ -42,7 +45,7 @@ fn main() -> Result<()> {
     }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.first().map(String::as_str) {
-        Some("check") => check(),
+        Some("check") => check(&arguments[1..]),
         Some("time") => time(&arguments[1..]),
         Some("profile") => profile(),
         Some("once") => once(),
@@ -168,8 +171,20 @@ fn usual() -> Sizes {
     Sizes { encoder: 16, hidden: 24, layers: 2, particles: None }
 }
 
-fn check() -> Result<()> {
-    let all = Core::ALL.map(|core| (core, false)).into_iter().chain([(Core::MinGru, true)]);
+/// The cores named in the arguments, or all.
+fn cores(arguments: &[String]) -> Vec<Core> {
+    let is_named = |core: &Core| arguments.iter().any(|argument| argument == core.name());
+    let named: Vec<Core> = Core::ALL.into_iter().filter(is_named).collect();
+    if named.is_empty() { Core::ALL.to_vec() } else { named }
+}
+
+fn check(arguments: &[String]) -> Result<()> {
+    let muon = (Core::MinGru, true);
+    let all = if arguments == [MUON] {
+        vec![muon]
+    } else {
+        cores(arguments).into_iter().map(|core| (core, false)).chain([muon]).collect()
+    };
     for (core, muon) in all {
         let settings = Settings { epsilon: 1e-4, muon, ..settings(3, 3, 3) };
         let problem = Problem::new(core, usual(), 5, settings);
@@ -218,14 +233,13 @@ fn check() -> Result<()> {
     Ok(())
 }
 
-/// Of the named cores, of all by default; with Muon if that is named, too.
-fn time(names: &[String]) -> Result<()> {
-    let (muon, names): (Vec<_>, Vec<_>) = names.iter().partition(|name| *name == "muon");
-    let muon = !muon.is_empty();
-    let is_named = |core: &Core| names.is_empty() || names.iter().any(|name| *name == core.name());
-    for core in Core::ALL.into_iter().filter(is_named) {
+/// Steps of these cores; `muon` and a number of windows change them.
+fn time(arguments: &[String]) -> Result<()> {
+    let muon = arguments.iter().any(|argument| argument == MUON);
+    let windows = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(16);
+    for core in cores(arguments) {
         for unroll in [2, 6, 14, 24] {
-            let settings = Settings { muon, ..settings(16, WARM_UP, unroll) };
+            let settings = Settings { muon, ..settings(windows, WARM_UP, unroll) };
             let problem = Problem::new(core, usual(), 25, settings);
             let constants = TrainingConstants::of(&problem.description)?;
             let cache = Some("/tmp/kernels".as_ref());
@@ -246,7 +260,7 @@ fn time(names: &[String]) -> Result<()> {
             times.sort_by(f32::total_cmp);
             let loss = training.outcomes(GROUP)?[GROUP - 1].loss;
             println!(
-                "{}: 16 windows of 2,500 particles, {WARM_UP} observed and {unroll} free frames: {:.3} ms/step (loss {loss:.5})",
+                "{}: {windows} windows of 2,500 particles, {WARM_UP} observed and {unroll} free frames: {:.3} ms/step (loss {loss:.5})",
                 core.name(),
                 times[2]
             );

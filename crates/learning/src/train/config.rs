@@ -1,4 +1,4 @@
-//! The settings of a training run, with defaults for each architecture.
+//! The settings of a training run.
 
 use serde::{Deserialize, Serialize, Serializer};
 
@@ -240,197 +240,7 @@ pub enum Observed {
     Window,
 }
 
-impl NetworkConfig {
-    /// Two layers without dropout, other options by default.
-    fn of_widths(encoder: usize, hidden: usize) -> Self {
-        Self {
-            encoder,
-            hidden,
-            layers: 2,
-            dropout: 0.0,
-            form: Form::default(),
-            normalize_gates: true,
-            frame: FrameOptions::default(),
-            cell_width: 1.0 / 32.0,
-            channels: vec![24, 32, 48, 64],
-            stiffness: false,
-            weights: WeightFormat::default(),
-        }
-    }
-}
-
-/// A set of defaults for a training run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum Recipe {
-    /// What eddy has found to work best.
-    #[default]
-    Default,
-    /// The paper's network, loss and optimizer as published; batches of 4,096 windows, for a GPU.
-    Paper,
-}
-
-impl Recipe {
-    /// The defaults, for an architecture if one is asked for.
-    ///
-    /// # Errors
-    /// [`TrainError::Setting`] for the paper's recipe of another network than the paper's.
-    pub fn defaults(self, architecture: Option<Architecture>) -> Result<TrainConfig, TrainError> {
-        match (self, architecture) {
-            (Self::Default, architecture) => {
-                Ok(TrainConfig::defaults(architecture.unwrap_or_default()))
-            }
-            (Self::Paper, None | Some(Architecture::Frame)) => Ok(TrainConfig::paper()),
-            (Self::Paper, Some(Architecture::Particle)) => {
-                Err(setting("recipe", "paper for architecture particle", "architecture frame"))
-            }
-        }
-    }
-}
-
 impl TrainConfig {
-    /// The defaults of an architecture.
-    pub fn defaults(architecture: Architecture) -> Self {
-        match architecture {
-            Architecture::Particle => Self::particle(),
-            Architecture::Frame => Self::frame(),
-        }
-    }
-
-    /// `docs/src/background/particle_model.md` describes the alternatives.
-    fn particle() -> Self {
-        let stage = |share, frames| UnrollStage { share, frames };
-        Self {
-            architecture: Architecture::Particle,
-            core: Core::MinGru,
-            seed: 1,
-            epochs: 40,
-            patience: 40,
-            gravity: [0.0, -9.8],
-            unroll: vec![stage(0.4, 2), stage(0.3, 6), stage(0.25, 14), stage(0.05, 24)],
-            truncation: 0,
-            network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(16, 24) },
-            windows: WindowConfig {
-                warm_up: 3,
-                batch: 16,
-                per_epoch: 4096,
-                noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
-                mirror: true,
-            },
-            loss: LossConfig {
-                kind: LossKind::Relative,
-                position_weight: 1.0,
-                velocity_weight: 0.2,
-                observed_weight: 0.5,
-                common_share: 1.0,
-                density_weight: 0.0,
-                density_grid: 32,
-            },
-            optimizer: OptimizerConfig {
-                kind: OptimizerKind::Adam,
-                learning_rate: 2.5e-3,
-                warm_up: 0.0,
-                schedule: Schedule::Cosine,
-                final_share: 0.02,
-                clip: 1.0,
-                epsilon: 1e-5,
-                average: 0.997,
-            },
-            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
-        }
-    }
-
-    /// The paper's training of its network: the mean squared error of the next frame, a constant rate, batches of 4,096 windows,
-    /// the 600 steps of its Table 4 and on until 20 epochs of 30 steps bring nothing. `docs/src/background/paper.md` shows why
-    /// this hardly moves the weights.
-    pub fn paper() -> Self {
-        let mut network = NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) };
-        network.frame.material = MaterialInput::Scalar;
-        Self {
-            epochs: 40,
-            patience: 20,
-            unroll: vec![UnrollStage { share: 1.0, frames: 1 }],
-            network,
-            windows: WindowConfig {
-                warm_up: 2,
-                batch: 4096,
-                per_epoch: 30 * 4096,
-                noise: NoiseConfig::NONE,
-                mirror: false,
-            },
-            loss: LossConfig {
-                kind: LossKind::Mse,
-                position_weight: 1.0,
-                velocity_weight: 1.0,
-                observed_weight: 0.0,
-                common_share: 0.0,
-                density_weight: 1e-3,
-                density_grid: 32,
-            },
-            optimizer: OptimizerConfig {
-                kind: OptimizerKind::Adam,
-                learning_rate: 1e-3,
-                warm_up: 0.0,
-                schedule: Schedule::Constant,
-                final_share: 1.0,
-                clip: f32::INFINITY,
-                epsilon: 1e-8,
-                average: 0.0,
-            },
-            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Window },
-            ..Self::frame()
-        }
-    }
-
-    /// The paper's network with what it needs to learn: a residual on the ballistic step, errors in units of the best trivial
-    /// predictor's, free rollouts, a falling rate. Its 4,800 steps take about a minute on an H100; on CPUs, use smaller
-    /// batches.
-    fn frame() -> Self {
-        let stage = |share, frames| UnrollStage { share, frames };
-        let mut network = NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) };
-        network.frame.output = FrameOutput::Residual;
-        Self {
-            architecture: Architecture::Frame,
-            core: Core::MinGru,
-            seed: 1,
-            epochs: 8,
-            patience: 8,
-            gravity: [0.0, -9.8],
-            unroll: vec![stage(0.25, 1), stage(0.15, 5), stage(0.6, 20)],
-            truncation: 0,
-            network,
-            windows: WindowConfig {
-                warm_up: 2,
-                batch: 256,
-                per_epoch: 600 * 256,
-                noise: NoiseConfig::NONE,
-                mirror: true,
-            },
-            loss: LossConfig {
-                kind: LossKind::Relative,
-                position_weight: 1.0,
-                velocity_weight: 0.2,
-                observed_weight: 0.5,
-                common_share: 1.0,
-                density_weight: 0.0,
-                density_grid: 32,
-            },
-            optimizer: OptimizerConfig {
-                kind: OptimizerKind::Adam,
-                // Larger rates let the loss jump up, with a network that does not recover.
-                learning_rate: 3e-4,
-                warm_up: 0.05,
-                schedule: Schedule::Cosine,
-                final_share: 0.02,
-                clip: 1.0,
-                epsilon: 1e-8,
-                average: 0.99,
-            },
-            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
-        }
-    }
-
     /// Whether the network can be trained on an NVIDIA GPU.
     pub fn runs_on_gpus(&self) -> bool {
         match self.architecture {
@@ -586,7 +396,11 @@ fn below_one<T: Into<f64> + ToString + Copy>(
     require(field, found, (0.0..1.0).contains(&found.into()), "0 to below 1")
 }
 
-fn setting(field: &'static str, found: impl ToString, expected: &'static str) -> TrainError {
+pub(super) fn setting(
+    field: &'static str,
+    found: impl ToString,
+    expected: &'static str,
+) -> TrainError {
     TrainError::Setting { field, found: found.to_string(), expected }
 }
 

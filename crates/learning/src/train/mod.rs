@@ -44,6 +44,7 @@ mod monitor;
 mod movement;
 mod muon;
 mod optimizer;
+mod recipes;
 mod record;
 mod resume;
 mod schedule;
@@ -60,10 +61,11 @@ mod window;
 
 pub use config::{
     LossConfig, LossKind, NetworkConfig, NoiseConfig, Observed, OptimizerConfig, OptimizerKind,
-    Recipe, Schedule, TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
+    Schedule, TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
 };
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
+pub use recipes::Recipe;
 pub use resume::{LAST_FOLDER, check_output};
 pub use validate::{linear_fit_loss, rollout_loss, test_skill};
 
