@@ -17,7 +17,7 @@ Its tensors are
     gradient.*                   gradients of the loss
     change.*                     change of the weights after ten steps of Adam
 
-all computed in float64 and stored as f32 (loss: f64). `checkpoints/CORE/` contains a checkpoint written by PyTorch
+all computed in float64 and stored as f32 (loss: f64). `checkpoints/NAME/` contains a checkpoint written by PyTorch
 and `frames.safetensors`: input frames, [T, N, 2], and the prediction after each of them. `muon/steps.safetensors`
 contains gradients of matrices, `gradient.NAME`, [steps, out, in], and how far torch.optim.Muon has moved these after each
 step, `change.NAME`, with float64 in place of the bfloat16 in its iteration. `VERSIONS` lists the versions used.
@@ -39,7 +39,7 @@ from torch.optim import _muon
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1] / "peers"))
 from torch_core import MATERIALS, Bodies  # noqa: E402
-from torch_model import Model, describe, network, save  # noqa: E402
+from torch_model import Model, describe, load, network, save  # noqa: E402
 
 FRAMES, WINDOWS, PARTICLES = 5, 3, 12
 SIZES = {"encoder": 7, "hidden": 6, "layers": 2, "particles": PARTICLES}
@@ -224,14 +224,15 @@ def golden(description: dict[str, Any], training: dict[str, Any]) -> dict[str, T
     return {name: tensor.detach().contiguous() for name, tensor in data.items()}
 
 
-def checkpoint(core: str) -> None:
+def checkpoint(name: str, core: str, **changes: Any) -> None:
     """Write a checkpoint with eight input frames and the prediction after each of them."""
-    directory = HERE / "checkpoints" / core
-    torch.manual_seed(zlib.crc32(core.encode()))
-    description = describe(core, SIZES)
-    model = network(description)
-    save(model, description, directory)
+    directory = HERE / "checkpoints" / name
+    torch.manual_seed(zlib.crc32(name.encode()))
+    description = describe(core, SIZES, **changes)
+    save(network(description), description, directory)
     bodies, material = particles(8, 1)
+    # With the weights of the file, which may be rounded.
+    model = load(directory)
     with torch.no_grad():
         predicted, _ = model.double()(bodies, model.matter(material))
     data = {"input.material": material[0].byte()}
@@ -276,7 +277,8 @@ def main() -> None:
     torch.use_deterministic_algorithms(True)
     write(ROWS, {"sizes": SIZES})
     for core in CORES:
-        checkpoint(core)
+        checkpoint(core, core)
+    checkpoint("mingru_f16", "mingru", weights="f16")
     muon()
     sizes = {name: size for name, size in SIZES.items() if name != "particles"}
     write(PARTICLE_ROWS, {"architecture": "particle", "sizes": sizes, "surroundings": SURROUNDINGS})
