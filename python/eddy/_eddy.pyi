@@ -297,6 +297,7 @@ def train(
     output: _Path,
     config: dict[str, Any] | _Path | None = None,
     *,
+    start: _Path | None = None,
     recipe: Literal["default", "paper"] = "default",
     device: str = "auto",
     precision: Literal["tf32", "fp32"] = "tf32",

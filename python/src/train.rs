@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use eddy_evaluation::dataset::{Dataset, available_memory};
+use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, Precision},
     train::{self, Epoch, Machine, Recipe, Run, TrainConfig},
@@ -21,25 +22,28 @@ use crate::{
 
 /// Trains a network on the bags at `data` and writes the best checkpoint to `output`. `config` is a dictionary or a file with the
 /// keys of `eddy train --config`; what it leaves out has the defaults of its `architecture`, or, with the `recipe` "paper", those of the
-/// paper's training. `callback` is called after each
-/// epoch with a dictionary (`epoch`, `samples`, `training_loss`, `validation_loss`, `first_skill`, `last_skill`, ..); an exception of
+/// paper's training. `start` is the folder of a checkpoint whose weights the run starts from, as with `eddy train --from`.
+/// `callback` is called after each epoch with a dictionary (`epoch`, `samples`, `training_loss`, `validation_loss`, `first_skill`, `last_skill`, ..); an exception of
 /// it ends the run, as Ctrl-C does, after the last whole epoch was saved. Returns a dictionary with `epochs` (a list
 /// of these), `seconds`, `samples` and `digest` (of the best checkpoint).
 #[pyfunction(name = "train")]
-#[pyo3(signature = (data, output, config=None, *, recipe="default", device="auto", precision="tf32", resume=false, callback=None))]
+#[pyo3(signature = (data, output, config=None, *, start=None, recipe="default", device="auto", precision="tf32", resume=false, callback=None))]
 #[expect(clippy::too_many_arguments, reason = "the options of a run")]
 pub(crate) fn train_network<'py>(
     py: Python<'py>,
     data: Paths,
     output: PathBuf,
     config: Option<&Bound<'py, PyAny>>,
+    start: Option<PathBuf>,
     recipe: &str,
     device: &str,
     precision: &str,
     resume: bool,
     callback: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let config = settings(config, values::word("recipe", recipe)?)?;
+    let start =
+        start.map(|folder| Checkpoint::load(&folder)).transpose().map_err(raise::<TrainError>)?;
+    let config = settings(config, values::word("recipe", recipe)?, start.as_ref())?;
     let device: DeviceKind = values::word("device", device)?;
     let device = device.resolve(config.runs_on_gpus());
     let precision: Precision = values::word("precision", precision)?;
@@ -56,6 +60,7 @@ pub(crate) fn train_network<'py>(
             device,
             gpu: GpuOptions { precision, ..GpuOptions::default() },
             output: &output,
+            start: start.as_ref(),
             resume,
             machine: machine.map_err(|error| text(&error))?,
             command: "eddy.train".to_owned(),
@@ -77,8 +82,12 @@ pub(crate) fn train_network<'py>(
     Ok(result)
 }
 
-/// The recipe's defaults, overridden by a file or a dictionary.
-fn settings(config: Option<&Bound<'_, PyAny>>, recipe: Recipe) -> PyResult<TrainConfig> {
+/// The defaults of the recipe, or of the checkpoint to start from, overridden by a file or a dictionary.
+fn settings(
+    config: Option<&Bound<'_, PyAny>>,
+    recipe: Recipe,
+    start: Option<&Checkpoint>,
+) -> PyResult<TrainConfig> {
     let overrides = match config {
         None => Overrides::default(),
         Some(config) if config.is_instance_of::<PyDict>() => {
@@ -98,9 +107,10 @@ fn settings(config: Option<&Bound<'_, PyAny>>, recipe: Recipe) -> PyResult<Train
     };
     let architecture: Option<Architecture> =
         overrides.get("architecture").map_err(raise::<TrainError>)?;
-    let defaults = recipe.defaults(architecture).map_err(raise::<TrainError>)?;
-    let mut config = overrides.over(&defaults).map_err(raise::<TrainError>)?;
-    config.architecture = defaults.architecture;
+    let start = start.map(|checkpoint| &checkpoint.description);
+    let defaults = recipe.defaults(architecture, start).map_err(raise::<TrainError>)?;
+    let config = overrides.over(&defaults).map_err(raise::<TrainError>)?;
     config.check().map_err(raise::<TrainError>)?;
+    start.map_or(Ok(()), |start| config.check_start(start)).map_err(raise::<TrainError>)?;
     Ok(config)
 }

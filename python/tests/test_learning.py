@@ -38,6 +38,12 @@ def test_a_network_is_trained_evaluated_and_used(tmp_path: Path, bags: Path) -> 
     with pytest.raises(eddy.TrainError, match="exists|resume"):
         eddy.train(bags, tmp_path / "model", SMALL)
 
+    still = {**SMALL, "optimizer": {"learning_rate": 1e-9}}
+    tuned = eddy.train(bags, tmp_path / "tuned", still, start=tmp_path / "model")
+    assert tuned["epochs"][0]["weight_distance"] < 1e-6
+    with pytest.raises(eddy.TrainError, match="core: found .gru., expected .mingru. as in the checkpoint"):
+        eddy.train(bags, tmp_path / "other", {"core": "gru"}, start=tmp_path / "model")
+
 
 def test_a_network_is_conditioned_on_the_stiffness_of_each_scene_and_of_each_stream(tmp_path: Path) -> None:
     program, bags = Path(sys.executable).with_name("eddy"), tmp_path / "bags"

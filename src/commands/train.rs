@@ -12,6 +12,7 @@ use eddy_evaluation::{
     skill_text,
 };
 use eddy_frames::clock::Clock;
+use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
     ranks::{Process, ProcessOptions, Timing},
@@ -40,7 +41,8 @@ const BAR_DELAY: f64 = 2.0;
 /// run per seed in a directory there.
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     allocator::keep_freed_memory();
-    let config = settings(&args)?;
+    let start = args.from.as_deref().map(Checkpoint::load).transpose()?;
+    let config = settings(&args, start.as_ref())?;
     output::on_disk(&args.output)?;
     let runs = runs(&args, &config)?;
     let device = args.device.resolve(config.runs_on_gpus());
@@ -91,6 +93,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
                 }),
             },
             output,
+            start: start.as_ref(),
             resume: args.resume,
             machine: Machine::with_free_disk(memory, output)?,
             command: std::env::args().collect::<Vec<_>>().join(" "),
@@ -178,8 +181,8 @@ fn abandon(sentence: &str) {
     signal_hook::low_level::exit(1);
 }
 
-/// The recipe's defaults, then the file, then the command line.
-fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
+/// The defaults of the recipe, or of the checkpoint to start from; then the file, then the command line.
+fn settings(args: &TrainArgs, start: Option<&Checkpoint>) -> anyhow::Result<TrainConfig> {
     let overrides = match &args.config {
         None => Overrides::default(),
         Some(file) => Overrides::read(file)?,
@@ -188,16 +191,20 @@ fn settings(args: &TrainArgs) -> anyhow::Result<TrainConfig> {
         Some(architecture) => Some(architecture),
         None => overrides.get("architecture")?,
     };
-    let defaults = args.recipe.defaults(architecture);
+    let start = start.map(|checkpoint| &checkpoint.description);
+    let defaults = args.recipe.defaults(architecture, start);
     let defaults = defaults.map_err(|error| Usage::new(format_args!("--{error}")))?;
     let mut config = overrides.over(&defaults)?;
-    config.architecture = defaults.architecture;
+    config.architecture = args.architecture.unwrap_or(config.architecture);
     config.core = args.core.unwrap_or(config.core);
     config.epochs = args.epochs.unwrap_or(config.epochs);
     config.seed = args.seed.first().copied().unwrap_or(config.seed);
     match &args.config {
         Some(file) => config.check().with_context(|| file.display().to_string())?,
         None => config.check().map_err(on_command_line)?,
+    }
+    if let (Some(start), Some(folder)) = (start, &args.from) {
+        config.check_start(start).with_context(|| folder.display().to_string())?;
     }
     Ok(config)
 }

@@ -5,6 +5,7 @@ mod data;
 mod learning;
 mod resume;
 mod seeds;
+mod start;
 
 use std::{
     collections::BTreeMap,
@@ -110,6 +111,7 @@ pub fn settings<'a>(output: &'a Path, progress: &'a dyn Progress) -> Run<'a> {
         gpu: GpuOptions::default(),
         device: DeviceKind::Flex,
         output,
+        start: None,
         resume: false,
         machine: Machine::UNLIMITED,
         command: "a test".to_owned(),

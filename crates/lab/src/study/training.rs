@@ -136,6 +136,7 @@ impl Task {
             device: *device,
             gpu: work.gpu(),
             output,
+            start: None,
             resume: true,
             machine: Machine::with_free_disk(memory, output)?,
             command: command.clone(),

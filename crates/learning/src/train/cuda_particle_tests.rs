@@ -100,6 +100,7 @@ pub(super) fn config(core: Core) -> TrainConfig {
     config.windows.warm_up = 3;
     config.windows.noise = NoiseConfig { position: 0.002, velocity: 0.1, share: 0.5 };
     config.unroll = vec![UnrollStage { share: 1.0, frames: 3 }];
+    config.optimizer.kind = OptimizerKind::Adam;
     config.optimizer.clip = 0.05;
     config.optimizer.epsilon = 1e-4;
     config.optimizer.average = 0.9;
@@ -200,7 +201,7 @@ fn compare(config: &TrainConfig, streams: &[Trajectory]) {
     let description = description(config);
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(streams, &config.windows, unroll).unwrap();
-    let mut state = RunState::new(config, &description, DeviceKind::Flex);
+    let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
     let device = DeviceKind::Flex.device().autodiff();
     state.unroll = unroll;
     let scale = scale(config, &description, &sampler, &mut state);
@@ -366,7 +367,7 @@ fn compare_devices(config: &TrainConfig, most: f64) {
     let (streams, description) = (streams(), description(config));
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
-    let mut state = RunState::new(config, &description, DeviceKind::Flex);
+    let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
     let scale = scale(config, &description, &sampler, &mut state);
     let draws: Vec<_> = (0..3).map(|_| sampler.choose_many(4, &mut state.order)).collect();
     let steps = |devices: usize, rank: usize| -> Vec<_> {
@@ -416,7 +417,7 @@ fn a_run_of_the_particle_model_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (streams, description) = (streams(), description(&config));
     let unroll = config.unroll[0].frames;
     let run = |open: &dyn Fn() -> Learner| {
-        let mut state = RunState::new(&config, &description, DeviceKind::Flex);
+        let mut state = RunState::new(&config, &description, None, DeviceKind::Flex);
         let device = DeviceKind::Flex.device().autodiff();
         state.network = Network::new(&description, &weights(&description, 13), &device);
         state.unroll = unroll;

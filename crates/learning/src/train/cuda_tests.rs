@@ -145,7 +145,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     };
     let weights = random_weights(&description);
     let checkpoint = Checkpoint::new(description.clone(), weights.clone());
-    let mut state = RunState::new(config, &checkpoint.description, DeviceKind::Flex);
+    let mut state = RunState::new(config, &checkpoint.description, None, DeviceKind::Flex);
     state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
     state.unroll = unroll;
     if config.loss.kind == LossKind::Relative {
@@ -312,7 +312,7 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         Checkpoint::new(description.clone(), tensors)
     };
     let run = |open: &dyn Fn() -> Learner| {
-        let mut state = RunState::new(&config, &description, DeviceKind::Flex);
+        let mut state = RunState::new(&config, &description, None, DeviceKind::Flex);
         state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
         state.unroll = unroll;
         let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();

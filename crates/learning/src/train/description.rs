@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{TrainConfig, TrainError};
+use super::{TrainConfig, TrainError, record::different_setting};
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
@@ -62,6 +62,49 @@ pub(super) fn describe(
             ..TrainingSummary::default()
         },
     })
+}
+
+impl TrainConfig {
+    /// Checks that a run with these settings can start from a network.
+    ///
+    /// # Errors
+    /// [`TrainError::OtherNetwork`] with the first setting that asks for another network.
+    pub fn check_start(&self, start: &Description) -> Result<(), TrainError> {
+        let expected = Self {
+            architecture: start.architecture,
+            core: start.core,
+            network: self.network.of(start),
+            ..self.clone()
+        };
+        different_setting(self, &expected).map_or(Ok(()), |(field, found, expected)| {
+            Err(TrainError::OtherNetwork { field, found, expected })
+        })
+    }
+}
+
+/// Turns the description of an untrained network into that of one that starts from a checkpoint: with its scales and rules, as its
+/// weights expect, and with its materials and streams beside those of the data.
+pub(super) fn start_from(
+    description: &mut Description,
+    config: &TrainConfig,
+    start: &Description,
+) -> Result<(), TrainError> {
+    config.check_start(start)?;
+    // The frame model's layers depend on the number of particles.
+    let particles = [&*description, start].map(|network| network.sizes.particles);
+    if let [Some(found), Some(expected)] = particles
+        && found != expected
+    {
+        let [found, expected] = [found, expected].map(|count| count.to_string());
+        return Err(TrainError::OtherNetwork { field: "particles".to_owned(), found, expected });
+    }
+    description.normalization = start.normalization.clone();
+    description.rules = start.rules.clone();
+    let materials = description.materials.iter().chain(&start.materials).copied();
+    description.materials = materials.collect::<BTreeSet<_>>().into_iter().collect();
+    let seen = description.training.seen.iter().chain(&start.training.seen).cloned();
+    description.training.seen = seen.collect::<BTreeSet<_>>().into_iter().collect();
+    Ok(())
 }
 
 /// Rejects streams that differ in the number of particles.

@@ -150,6 +150,18 @@ pub enum TrainError {
         /// Its value in the run to resume.
         expected: String,
     },
+    /// The checkpoint that training starts from has another network.
+    #[error(
+        "{field}: found {found}, expected {expected} as in the checkpoint that training starts from"
+    )]
+    OtherNetwork {
+        /// The setting that differs.
+        field: String,
+        /// Its value now.
+        found: String,
+        /// Its value in the checkpoint.
+        expected: String,
+    },
     /// The record of a run is damaged, or its format version is not supported.
     #[error("{}: {field}: found {found}, expected {expected}", file.display())]
     Record {

@@ -89,6 +89,8 @@ pub struct Run<'a> {
     pub gpu: GpuOptions<'a>,
     /// Directory for the best checkpoint, `metrics.csv`, the event files and [`LAST_FOLDER`].
     pub output: &'a Path,
+    /// The checkpoint whose weights the run starts from, instead of random ones.
+    pub start: Option<&'a Checkpoint>,
     /// Whether to resume the run in `output`; if it has no epoch yet, a new run begins.
     pub resume: bool,
     /// Available resources.
@@ -175,7 +177,7 @@ pub struct Outcome {
 /// The same settings, data and device give the same weights, in one run or resumed.
 ///
 /// # Errors
-/// [`TrainError`]: a setting out of range, streams that are too short or inconsistent, insufficient resources, an output that
+/// [`TrainError`]: a setting out of range, a checkpoint to start from that has another network, streams that are too short or inconsistent, insufficient resources, an output that
 /// contains a run or does not match the run to resume, a loss that is not finite, or a file that cannot be written (the best
 /// and the last checkpoint so far are kept).
 pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outcome, TrainError> {
@@ -205,6 +207,9 @@ fn train_with(
 ) -> Result<Outcome, TrainError> {
     config.check()?;
     let mut description = description::describe(config, dataset, &run.command)?;
+    if let Some(start) = run.start {
+        description::start_from(&mut description, config, &start.description)?;
+    }
     check_streams(config, dataset)?;
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
     footprint::check(config, &description, particles, run)?;

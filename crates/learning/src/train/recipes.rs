@@ -8,7 +8,7 @@ use super::{
     config::setting,
 };
 use eddy_inference::checkpoint::{
-    Architecture, Core, Form, FrameOptions, FrameOutput, MaterialInput, WeightFormat,
+    Architecture, Core, Description, Form, FrameOptions, FrameOutput, MaterialInput, WeightFormat,
 };
 
 /// A set of defaults for a training run.
@@ -24,20 +24,29 @@ pub enum Recipe {
 }
 
 impl Recipe {
-    /// The defaults, for an architecture if one is asked for.
+    /// The defaults, for an architecture if one is asked for, or for a run that starts from a network.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the paper's recipe of another network than the paper's.
-    pub fn defaults(self, architecture: Option<Architecture>) -> Result<TrainConfig, TrainError> {
-        match (self, architecture) {
+    pub fn defaults(
+        self,
+        architecture: Option<Architecture>,
+        start: Option<&Description>,
+    ) -> Result<TrainConfig, TrainError> {
+        let defaults = match (self, start.map(|network| network.architecture).or(architecture)) {
             (Self::Default, architecture) => {
-                Ok(TrainConfig::defaults(architecture.unwrap_or_default()))
+                TrainConfig::defaults(architecture.unwrap_or_default())
             }
-            (Self::Paper, None | Some(Architecture::Frame)) => Ok(TrainConfig::paper()),
+            (Self::Paper, None | Some(Architecture::Frame)) => TrainConfig::paper(),
             (Self::Paper, Some(Architecture::Particle)) => {
-                Err(setting("recipe", "paper for architecture particle", "architecture frame"))
+                let found = "paper for architecture particle";
+                return Err(setting("recipe", found, "architecture frame"));
             }
-        }
+        };
+        Ok(match start {
+            Some(network) => defaults.starting_from(network),
+            None => defaults,
+        })
     }
 }
 
@@ -184,7 +193,42 @@ impl TrainConfig {
     }
 }
 
+/// Share of the usual learning rate for a network that is trained already.
+const STARTED_RATE: f64 = 0.2;
+
+impl TrainConfig {
+    /// These defaults for a run that starts from a network: its layers, gravity and observed frames, and a fifth of the
+    /// learning rate, since larger steps would undo what it has learned.
+    #[must_use]
+    pub fn starting_from(mut self, network: &Description) -> Self {
+        (self.architecture, self.core) = (network.architecture, network.core);
+        self.network = self.network.of(network);
+        self.gravity = network.gravity;
+        self.windows.warm_up = network.warm_up as usize;
+        self.optimizer.learning_rate *= STARTED_RATE;
+        self
+    }
+}
+
 impl NetworkConfig {
+    /// The same with the layers of a network.
+    pub(super) fn of(&self, network: &Description) -> Self {
+        let grid = network.grid.as_ref();
+        Self {
+            encoder: network.sizes.encoder,
+            hidden: network.sizes.hidden,
+            layers: network.sizes.layers,
+            dropout: self.dropout,
+            form: network.form,
+            normalize_gates: network.normalize_gates,
+            frame: network.frame,
+            cell_width: grid.map_or(self.cell_width, |grid| grid.cell_width),
+            channels: grid.map_or_else(|| self.channels.clone(), |grid| grid.channels.clone()),
+            stiffness: network.stiffness,
+            weights: self.weights,
+        }
+    }
+
     /// Two layers without dropout, other options by default.
     fn of_widths(encoder: usize, hidden: usize) -> Self {
         Self {

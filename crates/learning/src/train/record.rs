@@ -8,10 +8,13 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{Epoch, LossKind, Run, TrainConfig, TrainError, loss_weights::TrivialErrors};
-use eddy_inference::checkpoint::Description;
+use eddy_inference::checkpoint::{Checkpoint, Description};
 
 /// Version of the format. It increases when older records would be misread.
 pub(super) const RECORD_VERSION: u32 = 1;
+
+/// What a run starts from that starts from no checkpoint.
+pub(super) const RANDOM_WEIGHTS: &str = "random weights";
 
 /// Settings that may differ from those of the run to resume.
 const MAY_DIFFER: [&str; 2] = ["epochs", "patience"];
@@ -24,6 +27,9 @@ pub(super) struct Record {
     pub(super) format_version: u32,
     /// Digest of the data.
     pub(super) data: String,
+    /// Digest of the checkpoint that the run started from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) start: Option<String>,
     /// Compute device.
     pub(super) device: String,
     /// Checksum of the checkpoint in the same folder.
@@ -126,12 +132,12 @@ pub(super) fn same_run(
     if record.data != description.data {
         return differs("data", description.data.clone(), record.data.clone());
     }
-    let settings = |config: &TrainConfig| {
-        Value::try_from(config).expect("settings are tables of TOML's own types")
-    };
-    if let Some((field, found, expected)) =
-        difference("", &settings(config), &settings(&record.config))
-    {
+    let start = run.start.map(Checkpoint::digest);
+    if record.start != start {
+        let named = |start: Option<String>| start.unwrap_or_else(|| RANDOM_WEIGHTS.to_owned());
+        return differs("--from", named(start), named(record.start.clone()));
+    }
+    if let Some((field, found, expected)) = different_setting(config, &record.config) {
         return differs(&field, found, expected);
     }
     let device = run.device_name();
@@ -146,6 +152,16 @@ pub(super) fn same_run(
         return differs("epochs", config.epochs.to_string(), format!("at least {done}"));
     }
     Ok(())
+}
+
+/// The first setting in which two runs differ, with both values.
+pub(super) fn different_setting(
+    a: &TrainConfig,
+    b: &TrainConfig,
+) -> Option<(String, String, String)> {
+    let [a, b] = [a, b]
+        .map(|config| Value::try_from(config).expect("settings are tables of TOML's own types"));
+    difference("", &a, &b)
 }
 
 /// The first key at which two tables differ, with both values.
@@ -253,6 +269,7 @@ mod tests {
             let record = Record {
                 format_version: RECORD_VERSION,
                 data: "0123".to_owned(),
+                start: drops.then(|| "4321".to_owned()),
                 device: "flex".to_owned(),
                 weights: "4567".to_owned(),
                 moments: "89ab".to_owned(),

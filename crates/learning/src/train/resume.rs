@@ -100,7 +100,7 @@ pub(super) fn begin(
             });
         }
     }
-    Ok(RunState::new(config, description, run.device))
+    Ok(RunState::new(config, description, run.start, run.device))
 }
 
 /// The same for a process that trains along, after rank 0 has begun the run. The folder is left unchanged.
@@ -112,7 +112,7 @@ pub(super) fn follow(
     if run.resumes() {
         load(config, description, run)
     } else {
-        Ok(RunState::new(config, description, run.device))
+        Ok(RunState::new(config, description, run.start, run.device))
     }
 }
 
@@ -133,6 +133,7 @@ pub(super) fn save(
         format_version: RECORD_VERSION,
         data: last.description.data.clone(),
         device: run.device_name(),
+        start: run.start.map(Checkpoint::digest),
         weights: checksum(&last.tensors),
         moments: checksum(&moments),
         steps: state.optimizer.steps,

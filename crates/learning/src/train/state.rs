@@ -43,20 +43,26 @@ fn seeds(config: &TrainConfig) -> [u64; 3] {
     [(); 3].map(|()| seeds.next_u64())
 }
 
-/// The weights before the first step of a run.
+/// The weights before the first step of a run: those of the checkpoint that it starts from, or random ones.
 pub(super) fn weights_at_start(
     config: &TrainConfig,
     description: &Description,
+    start: Option<&Checkpoint>,
 ) -> BTreeMap<String, Weights> {
     let [.., weights] = seeds(config);
-    initial_weights(description, weights)
+    start.map_or_else(|| initial_weights(description, weights), |start| start.tensors.clone())
 }
 
 impl RunState {
     /// The state before the first batch.
-    pub(super) fn new(config: &TrainConfig, description: &Description, device: DeviceKind) -> Self {
-        let [order, dropout, weights] = seeds(config);
-        let initial = initial_weights(description, weights);
+    pub(super) fn new(
+        config: &TrainConfig,
+        description: &Description,
+        start: Option<&Checkpoint>,
+        device: DeviceKind,
+    ) -> Self {
+        let [order, dropout, _] = seeds(config);
+        let initial = weights_at_start(config, description, start);
         let [order, dropout] = [order, dropout].map(ChaCha8Rng::seed_from_u64);
         Self {
             network: Network::new(description, &initial, &device.device().autodiff()),

@@ -279,7 +279,7 @@ mod cuda {
             let frames = config.windows.warm_up + WINDOWS;
             let streams = vec![stream(particles, frames, description.dt, &mut random)];
             let learner = open(&description, &streams)?;
-            let mut state = RunState::new(config, &description, DeviceKind::Flex);
+            let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
             let device = DeviceKind::Flex.device().autodiff();
             state.network = Network::new(&description, &weights, &device);
             state.unroll = 1;

@@ -6,9 +6,12 @@ use std::time::Duration;
 
 use toml::Value;
 
-use super::{Epoch, LAST_FOLDER, Run, TrainConfig, TrainError, moments::checksum, state::RunState};
+use super::{
+    Epoch, LAST_FOLDER, Run, TrainConfig, TrainError, moments::checksum, record::RANDOM_WEIGHTS,
+    state::RunState,
+};
 use crate::ranks::{Group, RankError};
-use eddy_inference::checkpoint::Description;
+use eddy_inference::checkpoint::{Checkpoint, Description};
 
 /// What rank 0 says before each group of batches.
 const GO: &str = "go";
@@ -34,6 +37,7 @@ pub(super) fn join(
         fact("data", description.data.clone()),
         fact("device", run.device_name()),
         fact("--resume", run.resume.to_string()),
+        fact("--from", run.start.map_or_else(|| RANDOM_WEIGHTS.to_owned(), Checkpoint::digest)),
     ];
     let settings = Value::try_from(config).expect("settings are tables of TOML's own types");
     add_settings("", &settings, &mut facts);

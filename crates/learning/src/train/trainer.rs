@@ -72,7 +72,11 @@ pub(super) fn take_epochs(
         scale,
         monitor,
         learner,
-        initial: if run.leads() { weights_at_start(config, description) } else { BTreeMap::new() },
+        initial: if run.leads() {
+            weights_at_start(config, description, run.start)
+        } else {
+            BTreeMap::new()
+        },
         saved: None,
         has_unsaved_best: false,
         unsaved: None,

@@ -1,0 +1,143 @@
+//! A run that starts from the weights of a checkpoint.
+
+use std::path::Path;
+
+use eddy_evaluation::dataset::{Dataset, Stream};
+use eddy_frames::{Material, progress::Silent};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_learning::train::{Outcome, Run, TrainConfig, TrainError, train};
+
+use super::{dataset, resume, run, settings, small, stream, write_bag};
+use crate::support::{fail, succeed};
+
+fn from(
+    start: &Checkpoint,
+    config: &TrainConfig,
+    dataset: &Dataset,
+    output: &Path,
+) -> Result<Outcome, TrainError> {
+    train(config, dataset, &Run { start: Some(start), ..settings(output, &Silent) })
+}
+
+/// Other streams on other scales, of other materials.
+fn other() -> Dataset {
+    let snow = |stream: Stream| Stream {
+        material: stream.material.iter().map(|_| Material::Snow).collect(),
+        ..stream
+    };
+    let mut other = dataset();
+    other.train = (10..16).map(|id| snow(stream(id)).into()).collect();
+    other.normalization.minimum[2] = -3.0;
+    other.digest = "other".to_owned();
+    other
+}
+
+#[test]
+fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
+    for (architecture, core) in
+        [(Architecture::Particle, Core::MinGru), (Architecture::Frame, Core::Gru)]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+        let mut config = small(architecture, core);
+        config.optimizer.average = 0.0;
+        let start = run(&config, &dataset(), &first).unwrap().best.unwrap();
+
+        let mut config = config.starting_from(&start.description);
+        // Steps too short to see.
+        (config.seed, config.epochs, config.optimizer.learning_rate) = (2, 1, 1e-9);
+        let outcome = from(&start, &config, &other(), &second).unwrap();
+        let end = outcome.best.unwrap();
+        for (name, before) in &start.tensors {
+            let after = &end.tensors[name].values;
+            let apart = before.values.iter().zip(after).map(|(a, b)| (a - b).abs());
+            assert!(apart.fold(0.0, f32::max) < 1e-6, "{core:?}: {name}");
+        }
+        assert_ne!(start.tensors, end.tensors, "it was trained");
+        assert!(outcome.epochs[0].weight_distance < 1e-6, "from the weights of the checkpoint");
+        let [before, after] = [&start.description, &end.description];
+        assert_eq!(after.normalization, before.normalization);
+        assert_eq!(after.materials, [Material::Liquid, Material::Snow, Material::Rope]);
+        let seen = |name: &String| after.training.seen.contains(name);
+        assert!(before.training.seen.iter().all(seen), "evaluations leave them out");
+        assert!(other().seen().unwrap().iter().all(seen));
+        assert_eq!(after.data, "other");
+    }
+}
+
+#[test]
+fn its_defaults_are_the_network_and_a_fifth_of_the_learning_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small(Architecture::Particle, Core::Lstm);
+    config.network.channels = vec![4, 5];
+    config.windows.warm_up = 4;
+    config.gravity = [0.0, -1.6];
+    config.epochs = 1;
+    let start = run(&config, &dataset(), &folder.path().join("first")).unwrap().best.unwrap();
+    let defaults = TrainConfig::defaults(Architecture::Frame);
+    let found = defaults.clone().starting_from(&start.description);
+    let rate = 0.2 * defaults.optimizer.learning_rate;
+    assert_eq!((found.architecture, found.core), (config.architecture, config.core));
+    config.network.dropout = defaults.network.dropout;
+    assert_eq!(found.network, config.network);
+    assert_eq!((found.windows.warm_up, found.gravity), (4, config.gravity));
+    assert_eq!(found.optimizer.learning_rate, rate);
+}
+
+#[test]
+fn a_run_does_not_go_on_from_another_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    config.epochs = 1;
+    let start = run(&config, &dataset(), &first).unwrap().best.unwrap();
+    from(&start, &config, &dataset(), &second).unwrap();
+    config.epochs = 2;
+    let error = resume(&config, &dataset(), &second).unwrap_err().to_string();
+    let expected = format!(
+        "{}: --from: found random weights, expected {} as in the run to resume",
+        second.join("last/resume.toml").display(),
+        start.digest()
+    );
+    assert_eq!(error, expected);
+    let again = Run { resume: true, start: Some(&start), ..settings(&second, &Silent) };
+    assert_eq!(train(&config, &dataset(), &again).unwrap().epochs.len(), 2);
+}
+
+#[test]
+fn the_command_says_in_what_a_network_differs() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let streams: Vec<Stream> = (0..6).map(stream).collect();
+    write_bag(path("bag").as_ref(), &streams);
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    config.epochs = 1;
+    run(&config, &dataset(), path("start").as_ref()).unwrap();
+    let (data, start) = (path("bag"), path("start"));
+    let of = |output: &str| {
+        ["train", "--data", &data, "--from", &start, "--epochs", "1", "--output", &path(output)]
+            .map(str::to_owned)
+    };
+    let settings = path("settings.toml");
+    std::fs::write(&settings, "[windows]\nper_epoch = 16\n").unwrap();
+    let with = |more: &[&str], output: &str| {
+        let more = more.iter().copied().map(str::to_owned);
+        of(output).into_iter().chain(more).collect::<Vec<_>>()
+    };
+    succeed(with(&["--config", &settings], "on"));
+    let on = Checkpoint::load(path("on").as_ref()).unwrap();
+    assert_eq!(on.description.sizes.hidden, config.network.hidden);
+
+    let differs = "as in the checkpoint that training starts from";
+    for (more, found) in [
+        (vec!["--core", "gru"], "core: found \"gru\", expected \"mingru\""),
+        (vec!["--architecture", "frame"], "architecture: found \"frame\", expected \"particle\""),
+    ] {
+        let error = fail(1, with(&more, "off"));
+        assert!(error.contains(&format!("{start}: {found} {differs}")), "{error}");
+    }
+    std::fs::write(&settings, "[network]\nhidden = 5\n").unwrap();
+    let error = fail(1, with(&["--config", &settings], "off"));
+    assert!(error.contains(&format!("network.hidden: found 5, expected 12 {differs}")), "{error}");
+    assert!(!Path::new(&path("off")).exists());
+}
