@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let frame = variants
         .map(|(name, constants)| (name.to_owned(), Box::new(constants) as Box<dyn Program>));
-    // The shipped network's widths, and those of a wide one.
+    // The default network's widths, and those of a wide one.
     let particle = Core::ALL.into_iter().flat_map(|core| [(core, 16, 24), (core, 64, 128)]);
     let particle = particle.map(|(core, encoder, hidden)| {
         let sizes = Sizes { encoder, hidden, layers: 1, particles: None };

@@ -89,7 +89,7 @@ impl TrainConfig {
                 density_grid: 32,
             },
             optimizer: OptimizerConfig {
-                kind: OptimizerKind::Adam,
+                kind: OptimizerKind::Muon,
                 learning_rate: 2.5e-3,
                 warm_up: 0.0,
                 schedule: Schedule::Cosine,
