@@ -389,9 +389,9 @@ pub struct TrainArgs {
     /// epochs.
     #[arg(long)]
     pub resume: bool,
-    /// Start from the weights of a checkpoint instead of random ones, for data like that it was trained on. Its network is
-    /// the default, and a fifth of the learning rate.
-    #[arg(long, value_name = "CHECKPOINT", conflicts_with = "recipe")]
+    /// Start from the weights of a checkpoint instead of random ones. Its layers are kept; its gravity and observed frames
+    /// are the defaults, and a fifth of the usual learning rate.
+    #[arg(long, value_name = "CHECKPOINT")]
     pub from: Option<PathBuf>,
     /// Read settings from a TOML file; command-line options override it.
     #[arg(long, value_name = "FILE")]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use eddy_evaluation::dataset::{Dataset, Stream};
 use eddy_frames::{Material, progress::Silent};
-use eddy_inference::checkpoint::{Architecture, Checkpoint, Core};
+use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_learning::train::{Outcome, Run, TrainConfig, TrainError, train};
 
 use super::{dataset, resume, run, settings, small, stream, write_bag};
@@ -34,18 +34,21 @@ fn other() -> Dataset {
 
 #[test]
 fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
-    for (architecture, core) in
-        [(Architecture::Particle, Core::MinGru), (Architecture::Frame, Core::Gru)]
-    {
+    for (architecture, core, weights, average) in [
+        (Architecture::Particle, Core::MinGru, WeightFormat::F32, 0.0),
+        (Architecture::Particle, Core::MinGru, WeightFormat::F16, 0.9),
+        (Architecture::Frame, Core::Gru, WeightFormat::F32, 0.0),
+    ] {
         let folder = tempfile::tempdir().unwrap();
         let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
         let mut config = small(architecture, core);
-        config.optimizer.average = 0.0;
+        (config.optimizer.average, config.network.weights) = (average, weights);
         let start = run(&config, &dataset(), &first).unwrap().best.unwrap();
 
         let mut config = config.starting_from(&start.description);
         // Steps too short to see.
         (config.seed, config.epochs, config.optimizer.learning_rate) = (2, 1, 1e-9);
+        config.network.weights = WeightFormat::F32;
         let outcome = from(&start, &config, &other(), &second).unwrap();
         let end = outcome.best.unwrap();
         for (name, before) in &start.tensors {
@@ -54,6 +57,7 @@ fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
             assert!(apart.fold(0.0, f32::max) < 1e-6, "{core:?}: {name}");
         }
         assert_ne!(start.tensors, end.tensors, "it was trained");
+        assert_eq!(end.description.training.start, Some(start.digest()));
         assert!(outcome.epochs[0].weight_distance < 1e-6, "from the weights of the checkpoint");
         let [before, after] = [&start.description, &end.description];
         assert_eq!(after.normalization, before.normalization);
@@ -85,7 +89,7 @@ fn its_defaults_are_the_network_and_a_fifth_of_the_learning_rate() {
 }
 
 #[test]
-fn a_run_does_not_go_on_from_another_start() {
+fn a_run_is_not_resumed_with_another_start() {
     let folder = tempfile::tempdir().unwrap();
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
     let mut config = small(Architecture::Particle, Core::MinGru);
@@ -125,8 +129,8 @@ fn the_command_says_in_what_a_network_differs() {
         of(output).into_iter().chain(more).collect::<Vec<_>>()
     };
     succeed(with(&["--config", &settings], "on"));
-    let on = Checkpoint::load(path("on").as_ref()).unwrap();
-    assert_eq!(on.description.sizes.hidden, config.network.hidden);
+    let [on, before] = ["on", "start"].map(|name| Checkpoint::load(path(name).as_ref()).unwrap());
+    assert_eq!(on.description.training.start, Some(before.digest()));
 
     let differs = "as in the checkpoint that training starts from";
     for (more, found) in [
@@ -136,8 +140,46 @@ fn the_command_says_in_what_a_network_differs() {
         let error = fail(1, with(&more, "off"));
         assert!(error.contains(&format!("{start}: {found} {differs}")), "{error}");
     }
+    let error = fail(2, with(&["--recipe", "paper"], "off"));
+    let expected = "recipe: found paper with a checkpoint to start from, expected default";
+    assert!(error.contains(expected), "{error}");
     std::fs::write(&settings, "[network]\nhidden = 5\n").unwrap();
     let error = fail(1, with(&["--config", &settings], "off"));
     assert!(error.contains(&format!("network.hidden: found 5, expected 12 {differs}")), "{error}");
     assert!(!Path::new(&path("off")).exists());
+}
+
+#[test]
+fn data_that_the_checkpoint_would_not_accept_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small(Architecture::Frame, Core::Mlp);
+    config.epochs = 1;
+    let start = run(&config, &dataset(), &folder.path().join("start")).unwrap().best.unwrap();
+    let changed = |change: &dyn Fn(&mut Stream)| {
+        let with = |id| {
+            let mut stream = stream(id);
+            change(&mut stream);
+            stream.into()
+        };
+        let (train, [validation, test]) =
+            ((0..6).map(with).collect(), [6, 7].map(|id| vec![with(id)]));
+        Dataset { train, validation, test, ..dataset() }
+    };
+    let fewer = |stream: &mut Stream| {
+        stream.material.truncate(20);
+        for state in &mut stream.states {
+            state.position.truncate(20);
+            state.velocity.truncate(20);
+        }
+    };
+    for (data, expected) in [
+        (changed(&|stream| stream.dt = 0.008), "frame interval (s): found 0.008, expected 0.016"),
+        (changed(&fewer), "particles: found 20, expected 24"),
+        (changed(&|stream| stream.domain.upper[0] = 2.0), "domain: found "),
+    ] {
+        let error = from(&start, &config, &data, &folder.path().join("other")).unwrap_err();
+        let error = error.to_string();
+        let end = "as in the checkpoint that training starts from";
+        assert!(error.starts_with(expected) && error.ends_with(end), "{error}");
+    }
 }

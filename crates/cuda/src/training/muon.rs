@@ -74,7 +74,7 @@ impl Muon {
             let needed = shared(sides);
             if needed.into_iter().any(|bytes| bytes > SHARED) {
                 let setting = format!("optimizer.kind = muon for {inputs} x {outputs} weights");
-                let expected = "at most 120 inputs or at most 120 outputs";
+                let expected = "at most 120 inputs or outputs, or optimizer.kind = adam";
                 return Err(CudaError::Unsupported { setting, expected });
             }
             all.push(MuonTensor {

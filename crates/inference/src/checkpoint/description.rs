@@ -50,6 +50,9 @@ pub struct TrainingSummary {
     pub validation_loss: f64,
     /// Training windows up to that epoch.
     pub samples: u64,
+    /// Digest of the checkpoint that the training started from, if it did not start from random weights.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<String>,
     /// Fingerprints of the streams used for training and validation (`Trajectory::fingerprint`), which evaluations exclude;
     /// empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -111,7 +114,15 @@ pub struct Description {
     pub training: TrainingSummary,
 }
 
+/// Largest accepted difference between a stream's frame interval and the checkpoint's, relative to it.
+const INTERVAL_TOLERANCE: f32 = 1e-3;
+
 impl Description {
+    /// Whether a frame interval (s) is that of the network.
+    pub fn has_interval(&self, dt: f32) -> bool {
+        (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
+    }
+
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
     /// interval of 16 ms, the unit square, velocities up to 1 domain length per second.
     pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {

@@ -37,6 +37,7 @@ fn checkpoint() -> Checkpoint {
             training_loss: 0.75,
             validation_loss: 0.5,
             samples: 4096,
+            start: Some("fedcba9876543210".to_owned()),
             seen: vec!["0123456789abcdef".to_owned()],
             linear_fit: Some([[0.5, -0.25, 0.125, 1.0, 2.0], [0.0, 0.1, 0.2, 0.3, -0.4]]),
         },

@@ -15,9 +15,6 @@ use crate::{
 };
 use eddy_frames::{Domain, Frame, FrameView, Stamp};
 
-/// Largest accepted difference between a stream's frame interval and the checkpoint's, relative to it.
-const INTERVAL_TOLERANCE: f32 = 1e-3;
-
 /// Largest accepted distance between a stream's domain corners and the checkpoint's (domain lengths).
 const DOMAIN_TOLERANCE: f32 = 1e-6;
 
@@ -172,7 +169,7 @@ impl Surrogate {
             let (found, expected) = (found.name(), expected.join(", "));
             return Err(ModelError::Material { particle, found, expected });
         }
-        if (frame.dt - dt).abs() > INTERVAL_TOLERANCE * dt {
+        if !self.description.has_interval(frame.dt) {
             return Err(ModelError::Interval { found: frame.dt, expected: *dt });
         }
         match &self.description.grid {

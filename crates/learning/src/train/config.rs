@@ -8,6 +8,8 @@ use eddy_inference::checkpoint::{
     MaterialInput, Pooling, Sizes, WeightFormat,
 };
 
+/// Width of layers up to which Muon runs on every supported GPU.
+const WIDEST_OF_MUON: usize = 120;
 /// Largest width in a checkpoint.
 const LARGEST_WIDTH: usize = 1 << 16;
 
@@ -248,7 +250,10 @@ impl TrainConfig {
                 self.truncation == 0 && self.optimizer.kind == OptimizerKind::Adam
             }
             Architecture::Particle => {
-                self.loss.density_weight == 0.0 && self.network.dropout == 0.0
+                let NetworkConfig { hidden, ref channels, dropout, .. } = self.network;
+                let widest = channels.iter().copied().fold(hidden, usize::max);
+                let fits = self.optimizer.kind == OptimizerKind::Adam || widest <= WIDEST_OF_MUON;
+                self.loss.density_weight == 0.0 && dropout == 0.0 && fits
             }
         }
     }

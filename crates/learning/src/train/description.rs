@@ -6,7 +6,7 @@ use super::{TrainConfig, TrainError, record::different_setting};
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Description, FORMAT_VERSION, Rules, TrainingSummary, WeightFormat,
+    Architecture, Checkpoint, Description, FORMAT_VERSION, Rules, TrainingSummary, WeightFormat,
 };
 
 /// The description of the untrained network.
@@ -73,7 +73,7 @@ impl TrainConfig {
         let expected = Self {
             architecture: start.architecture,
             core: start.core,
-            network: self.network.of(start),
+            network: self.network.with_layers_of(start),
             ..self.clone()
         };
         different_setting(self, &expected).map_or(Ok(()), |(field, found, expected)| {
@@ -82,22 +82,35 @@ impl TrainConfig {
     }
 }
 
-/// Turns the description of an untrained network into that of one that starts from a checkpoint: with its scales and rules, as its
-/// weights expect, and with its materials and streams beside those of the data.
+/// Turns the description of an untrained network into that of one that starts from a checkpoint: with the scales of features and
+/// the rules that its weights were trained with, and with its materials and streams beside those of the data.
 pub(super) fn start_from(
     description: &mut Description,
     config: &TrainConfig,
-    start: &Description,
+    start: &Checkpoint,
 ) -> Result<(), TrainError> {
+    let digest = start.digest();
+    let start = &start.description;
     config.check_start(start)?;
-    // The frame model's layers depend on the number of particles.
-    let particles = [&*description, start].map(|network| network.sizes.particles);
-    if let [Some(found), Some(expected)] = particles
-        && found != expected
-    {
-        let [found, expected] = [found, expected].map(|count| count.to_string());
-        return Err(TrainError::OtherNetwork { field: "particles".to_owned(), found, expected });
+    let other = |field: &str, found: String, expected: String| {
+        Err(TrainError::OtherNetwork { field: field.to_owned(), found, expected })
+    };
+    if !start.has_interval(description.dt) {
+        let [found, expected] = [description.dt, start.dt].map(|interval| interval.to_string());
+        return other("frame interval (s)", found, expected);
     }
+    // The frame model's layers depend on the number of particles, its features on the domain.
+    let both = [&*description, start];
+    if let [Some(found), Some(expected)] = both.map(|network| network.sizes.particles) {
+        if found != expected {
+            return other("particles", found.to_string(), expected.to_string());
+        }
+        let [found, expected] = both.map(|network| network.domain);
+        if found != expected {
+            return other("domain", format!("{found:?}"), format!("{expected:?}"));
+        }
+    }
+    description.training.start = Some(digest);
     description.normalization = start.normalization.clone();
     description.rules = start.rules.clone();
     let materials = description.materials.iter().chain(&start.materials).copied();

@@ -208,7 +208,7 @@ fn train_with(
     config.check()?;
     let mut description = description::describe(config, dataset, &run.command)?;
     if let Some(start) = run.start {
-        description::start_from(&mut description, config, &start.description)?;
+        description::start_from(&mut description, config, start)?;
     }
     check_streams(config, dataset)?;
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);

@@ -33,6 +33,9 @@ impl Recipe {
         architecture: Option<Architecture>,
         start: Option<&Description>,
     ) -> Result<TrainConfig, TrainError> {
+        if self == Self::Paper && start.is_some() {
+            return Err(setting("recipe", "paper with a checkpoint to start from", "default"));
+        }
         let defaults = match (self, start.map(|network| network.architecture).or(architecture)) {
             (Self::Default, architecture) => {
                 TrainConfig::defaults(architecture.unwrap_or_default())
@@ -202,7 +205,7 @@ impl TrainConfig {
     #[must_use]
     pub fn starting_from(mut self, network: &Description) -> Self {
         (self.architecture, self.core) = (network.architecture, network.core);
-        self.network = self.network.of(network);
+        self.network = self.network.with_layers_of(network);
         self.gravity = network.gravity;
         self.windows.warm_up = network.warm_up as usize;
         self.optimizer.learning_rate *= STARTED_RATE;
@@ -212,7 +215,7 @@ impl TrainConfig {
 
 impl NetworkConfig {
     /// The same with the layers of a network.
-    pub(super) fn of(&self, network: &Description) -> Self {
+    pub(super) fn with_layers_of(&self, network: &Description) -> Self {
         let grid = network.grid.as_ref();
         Self {
             encoder: network.sizes.encoder,

@@ -8,13 +8,15 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use super::{Epoch, LossKind, Run, TrainConfig, TrainError, loss_weights::TrivialErrors};
-use eddy_inference::checkpoint::{Checkpoint, Description};
+use eddy_inference::checkpoint::Description;
 
 /// Version of the format. It increases when older records would be misread.
 pub(super) const RECORD_VERSION: u32 = 1;
 
-/// What a run starts from that starts from no checkpoint.
-pub(super) const RANDOM_WEIGHTS: &str = "random weights";
+/// What a run starts from, in messages.
+pub(super) fn start_name(digest: &Option<String>) -> String {
+    digest.clone().unwrap_or_else(|| "random weights".to_owned())
+}
 
 /// Settings that may differ from those of the run to resume.
 const MAY_DIFFER: [&str; 2] = ["epochs", "patience"];
@@ -132,10 +134,9 @@ pub(super) fn same_run(
     if record.data != description.data {
         return differs("data", description.data.clone(), record.data.clone());
     }
-    let start = run.start.map(Checkpoint::digest);
-    if record.start != start {
-        let named = |start: Option<String>| start.unwrap_or_else(|| RANDOM_WEIGHTS.to_owned());
-        return differs("--from", named(start), named(record.start.clone()));
+    let start = &description.training.start;
+    if record.start != *start {
+        return differs("--from", start_name(start), start_name(&record.start));
     }
     if let Some((field, found, expected)) = different_setting(config, &record.config) {
         return differs(&field, found, expected);

@@ -133,7 +133,7 @@ pub(super) fn save(
         format_version: RECORD_VERSION,
         data: last.description.data.clone(),
         device: run.device_name(),
-        start: run.start.map(Checkpoint::digest),
+        start: last.description.training.start.clone(),
         weights: checksum(&last.tensors),
         moments: checksum(&moments),
         steps: state.optimizer.steps,

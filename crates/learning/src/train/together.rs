@@ -7,11 +7,11 @@ use std::time::Duration;
 use toml::Value;
 
 use super::{
-    Epoch, LAST_FOLDER, Run, TrainConfig, TrainError, moments::checksum, record::RANDOM_WEIGHTS,
+    Epoch, LAST_FOLDER, Run, TrainConfig, TrainError, moments::checksum, record::start_name,
     state::RunState,
 };
 use crate::ranks::{Group, RankError};
-use eddy_inference::checkpoint::{Checkpoint, Description};
+use eddy_inference::checkpoint::Description;
 
 /// What rank 0 says before each group of batches.
 const GO: &str = "go";
@@ -37,7 +37,7 @@ pub(super) fn join(
         fact("data", description.data.clone()),
         fact("device", run.device_name()),
         fact("--resume", run.resume.to_string()),
-        fact("--from", run.start.map_or_else(|| RANDOM_WEIGHTS.to_owned(), Checkpoint::digest)),
+        fact("--from", start_name(&description.training.start)),
     ];
     let settings = Value::try_from(config).expect("settings are tables of TOML's own types");
     add_settings("", &settings, &mut facts);

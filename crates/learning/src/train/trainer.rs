@@ -54,7 +54,7 @@ pub(super) fn take_epochs(
     let sampler = sampler(config, dataset, state.unroll.max(1))?;
     let scale = LossScale {
         loss: &config.loss,
-        normalization: &dataset.normalization,
+        normalization: &description.normalization,
         ballistic: Ballistic::new(description),
         common: state.common.clone(),
     };
