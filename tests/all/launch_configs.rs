@@ -35,7 +35,7 @@ files! {
     the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => |name| {
         train(name, "frame min");
     },
-    long_rollouts_are_trained_with_their_settings: "train_soft.toml" => train_particles,
+    soft_matter_is_trained_with_its_settings: "train_soft.toml" => train_particles,
     stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => train_particles,
     any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => train_particles,
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
