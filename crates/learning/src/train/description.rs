@@ -112,7 +112,7 @@ pub(super) fn start_from(
     }
     description.training.start = Some(digest);
     description.normalization = start.normalization.clone();
-    description.rules = start.rules.clone();
+    description.rules = start.rules;
     let materials = description.materials.iter().chain(&start.materials).copied();
     description.materials = materials.collect::<BTreeSet<_>>().into_iter().collect();
     let seen = description.training.seen.iter().chain(&start.training.seen).cloned();
