@@ -82,15 +82,7 @@ impl TrainConfig {
                 noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
                 mirror: true,
             },
-            loss: LossConfig {
-                kind: LossKind::Relative,
-                position_weight: 1.0,
-                velocity_weight: 0.2,
-                observed_weight: 0.5,
-                common_share: 1.0,
-                density_weight: 0.0,
-                density_grid: 32,
-            },
+            loss: LossConfig::RELATIVE,
             optimizer: OptimizerConfig {
                 kind: OptimizerKind::Muon,
                 learning_rate: 2.5e-3,
@@ -171,15 +163,7 @@ impl TrainConfig {
                 noise: NoiseConfig::NONE,
                 mirror: true,
             },
-            loss: LossConfig {
-                kind: LossKind::Relative,
-                position_weight: 1.0,
-                velocity_weight: 0.2,
-                observed_weight: 0.5,
-                common_share: 1.0,
-                density_weight: 0.0,
-                density_grid: 32,
-            },
+            loss: LossConfig::RELATIVE,
             optimizer: OptimizerConfig {
                 kind: OptimizerKind::Adam,
                 // Larger rates let the loss jump up, with a network that does not recover.
@@ -194,6 +178,19 @@ impl TrainConfig {
             validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
         }
     }
+}
+
+impl LossConfig {
+    /// Errors in units of the best trivial predictor's over many windows, positions before velocities.
+    const RELATIVE: Self = Self {
+        kind: LossKind::Relative,
+        position_weight: 1.0,
+        velocity_weight: 0.2,
+        observed_weight: 0.5,
+        common_share: 1.0,
+        density_weight: 0.0,
+        density_grid: 32,
+    };
 }
 
 /// Share of the usual learning rate for a network that is trained already.
