@@ -38,7 +38,7 @@ def test_a_network_is_trained_evaluated_and_used(tmp_path: Path, bags: Path) -> 
     with pytest.raises(eddy.TrainError, match="exists|resume"):
         eddy.train(bags, tmp_path / "model", SMALL)
 
-    still = {**SMALL, "optimizer": {"learning_rate": 1e-9, "average": 0.0}}
+    still = {**SMALL, "optimizer": {"learning_rate": 1e-9}}
     tuned = eddy.train(bags, tmp_path / "tuned", still, start=tmp_path / "model")
     assert tuned["epochs"][0]["weight_distance"] < 1e-6
     assert f'start = "{outcome["digest"]}"' in (tmp_path / "tuned" / "model.toml").read_text()

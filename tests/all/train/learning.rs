@@ -1,13 +1,12 @@
 //! What a run learns, and what it keeps.
 
-use std::{fs, sync::Mutex};
+use std::fs;
 
-use eddy_frames::progress::Progress;
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, FrameOutput};
 use eddy_learning::train::{LossKind, METRICS_FILE, TrainConfig, train};
 use eddy_settings::Overrides;
 
-use super::{FRAMES, dataset, interrupted, run, settings, small, stream};
+use super::{FRAMES, Lines, dataset, interrupted, run, settings, small, stream};
 
 #[test]
 fn every_network_learns_what_no_trivial_predictor_knows() {
@@ -114,16 +113,6 @@ fn a_learning_rate_that_is_far_too_large_ends_with_the_batch_named() {
     assert!(message.contains("expected a finite number"), "{message}");
 }
 
-/// Collects messages.
-#[derive(Default)]
-struct Lines(Mutex<Vec<String>>);
-
-impl Progress for Lines {
-    fn message(&self, line: &str) {
-        self.0.lock().unwrap().push(line.to_owned());
-    }
-}
-
 #[test]
 fn weights_that_hardly_move_are_said_after_the_first_epoch_and_in_the_metrics() {
     let metrics = |epsilon: f32| {
@@ -141,7 +130,7 @@ fn weights_that_hardly_move_are_said_after_the_first_epoch_and_in_the_metrics() 
         );
         let row = format!(",{:.4e},{:.4}", last.weight_distance, last.epsilon_share);
         assert!(table.trim_end().ends_with(&row), "{row}: {table}");
-        let lines = lines.0.into_inner().unwrap();
+        let lines = lines.into_inner();
         let said = lines.iter().filter(|line| line.contains("the weights hardly move")).count();
         (last.weight_distance, last.epsilon_share, said)
     };

@@ -11,7 +11,10 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicUsize, Ordering},
+    sync::{
+        Mutex,
+        atomic::{AtomicUsize, Ordering},
+    },
 };
 
 use eddy_bag::{BagWriter, Compression, WriterOptions};
@@ -126,6 +129,22 @@ pub struct BeforeBatch<F>(pub F);
 impl<F: Fn() -> bool + Sync> Progress for BeforeBatch<F> {
     fn cancelled(&self) -> bool {
         (self.0)()
+    }
+}
+
+/// Collects messages.
+#[derive(Default)]
+pub struct Lines(Mutex<Vec<String>>);
+
+impl Lines {
+    pub fn into_inner(self) -> Vec<String> {
+        self.0.into_inner().unwrap()
+    }
+}
+
+impl Progress for Lines {
+    fn message(&self, line: &str) {
+        self.0.lock().unwrap().push(line.to_owned());
     }
 }
 

@@ -7,7 +7,7 @@ use eddy_frames::{Material, progress::Silent};
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_learning::train::{Outcome, Run, TrainConfig, TrainError, train};
 
-use super::{dataset, resume, run, settings, small, stream, write_bag};
+use super::{Lines, dataset, resume, run, settings, small, stream, write_bag};
 use crate::support::{fail, succeed};
 
 fn from(
@@ -49,6 +49,10 @@ fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
         // Steps too short to see.
         (config.seed, config.epochs, config.optimizer.learning_rate) = (2, 1, 1e-9);
         config.network.weights = WeightFormat::F32;
+        if average > 0.0 {
+            // The average, too, begins at the weights.
+            config.windows.per_epoch = config.windows.batch;
+        }
         let outcome = from(&start, &config, &other(), &second).unwrap();
         let end = outcome.best.unwrap();
         for (name, before) in &start.tensors {
@@ -66,6 +70,31 @@ fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
         assert!(before.training.seen.iter().all(seen), "evaluations leave them out");
         assert!(other().seen().unwrap().iter().all(seen));
         assert_eq!(after.data, "other");
+    }
+}
+
+#[test]
+fn the_run_says_how_good_the_checkpoint_is_and_whether_training_made_it_worse() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut config = small(Architecture::Particle, Core::MinGru);
+    let start = run(&config, &dataset(), &path("start")).unwrap().best.unwrap();
+    let loss = start.description.training.validation_loss;
+    let worse = "no epoch is better than the checkpoint to start from";
+    for (name, rate) in [("far", 0.3), ("on", 1e-3)] {
+        let (output, lines) = (path(name), Lines::default());
+        (config.epochs, config.optimizer.learning_rate) = (2, rate);
+        let run = Run { start: Some(&start), ..settings(&output, &lines) };
+        let best = train(&config, &dataset(), &run).unwrap().best.unwrap();
+        let lines = lines.into_inner();
+        let said = format!("the checkpoint to start from: validation {loss:.4}  skill ");
+        assert!(lines[0].starts_with(&said), "{lines:?}");
+        let is_worse = best.description.training.validation_loss >= loss;
+        assert_eq!(is_worse, rate > 0.1, "{lines:?}");
+        assert_eq!(
+            lines.iter().filter(|line| line.starts_with(worse)).count(),
+            usize::from(is_worse)
+        );
     }
 }
 

@@ -9,7 +9,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{TrainConfig, TrainError, events::EventFile, state::RunState};
+use super::{TrainConfig, TrainError, events::EventFile, state::RunState, validate::Score};
 use eddy_evaluation::skill_text;
 use eddy_frames::{clock, progress::Progress};
 use eddy_inference::checkpoint::TrainingSummary;
@@ -219,8 +219,26 @@ impl<'a> Monitor<'a> {
         Ok(())
     }
 
-    /// Ends the report.
-    pub(super) fn finish(&self) {
+    /// Reports the checkpoint that the run starts from, before any step.
+    pub(super) fn starts_from(&self, score: &Score) {
+        let Score { loss, first_skill, last_skill } = score;
+        let [first, last] = [*first_skill, *last_skill].map(skill_text);
+        let text =
+            format!("the checkpoint to start from: validation {loss:.4}  skill {first} {last}");
+        self.progress.message(&text);
+    }
+
+    /// Ends the report of a run, with the validation losses of the checkpoint that it started from, if it did, and of its best
+    /// epoch.
+    pub(super) fn finish(&self, start: Option<f64>, best: Option<f64>) {
+        if let (Some(start), Some(best)) = (start, best)
+            && best >= start
+        {
+            self.progress.message(&format!(
+                "no epoch is better than the checkpoint to start from: the lowest validation loss is {best:.4}, that of the \
+                 checkpoint {start:.4}; train longer, or with a smaller optimizer.learning_rate"
+            ));
+        }
         self.progress.finish();
     }
 }

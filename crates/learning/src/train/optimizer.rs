@@ -61,8 +61,12 @@ impl Correction {
             rate: (rate / (1.0 - f64::from(BETA_1).powi(power))) as f32,
             root: (1.0 - f64::from(BETA_2).powi(power)).sqrt() as f32,
             plain_rate: rate as f32,
-            // A shorter average in the first steps, to forget the initial weights quickly.
-            kept: config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
+            // The average begins with the weights after the first step, and is shorter in the next ones, to forget them
+            // quickly.
+            kept: match power {
+                1 => 0.0,
+                _ => config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
+            },
         }
     }
 }
@@ -73,6 +77,8 @@ pub(super) struct OptimizerStep<'a> {
     correction: Correction,
     epsilon: f32,
     clip: f32,
+    /// Whether the weights are averaged.
+    averaged: bool,
     /// Whether norms are computed even without clipping.
     measured: bool,
     /// Sum of the squared norms of the gradients so far.
@@ -110,6 +116,7 @@ impl Optimizer {
             optimizer: self,
             epsilon: config.epsilon,
             clip: config.clip,
+            averaged: config.average > 0.0,
             measured: false,
             squares: 0.0,
         }
@@ -143,7 +150,7 @@ impl OptimizerStep<'_> {
                     Arch::new().dispatch(Change { constants, values, gradient, first, second });
                 });
         }
-        if kept > 0.0 {
+        if self.averaged {
             average.resize(values.len(), 0.0);
             for (mean, value) in average.iter_mut().zip(values) {
                 *mean = *value + kept * (*mean - *value);

@@ -60,7 +60,22 @@ pub(super) fn take_epochs(
     };
     let output = run.leads().then_some(run.output);
     let monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
-    let learner = (dependencies.learner)(description, group).map_err(explained)?;
+    let mut learner = (dependencies.learner)(description, group).map_err(explained)?;
+    let initial = if run.leads() {
+        weights_at_start(config, description, run.start)
+    } else {
+        BTreeMap::new()
+    };
+    let start = match run.start.filter(|_| run.leads()) {
+        Some(_) => {
+            let checkpoint = Checkpoint::new(description.clone(), initial.clone());
+            let surrogate = learner.surrogate(&checkpoint.with_weights(config.network.weights))?;
+            let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
+            monitor.starts_from(&score);
+            Some(score.loss)
+        }
+        None => None,
+    };
     let mut trainer = Trainer {
         config,
         dataset,
@@ -72,11 +87,8 @@ pub(super) fn take_epochs(
         scale,
         monitor,
         learner,
-        initial: if run.leads() {
-            weights_at_start(config, description, run.start)
-        } else {
-            BTreeMap::new()
-        },
+        initial,
+        start,
         saved: None,
         has_unsaved_best: false,
         unsaved: None,
@@ -128,6 +140,8 @@ struct Trainer<'a> {
     learner: Learner,
     /// The weights before the first step; empty where another process writes the metrics.
     initial: BTreeMap<String, Weights>,
+    /// Validation loss of the checkpoint that the run starts from, if any.
+    start: Option<f64>,
     /// When the run was saved last, since its start.
     saved: Option<Duration>,
     /// Whether the best checkpoint is yet to be saved.
@@ -391,7 +405,7 @@ impl Trainer<'_> {
 
     /// Enters the number of epochs in the best checkpoint.
     fn finish(self, interrupted: bool) -> Result<Outcome, TrainError> {
-        self.monitor.finish();
+        self.monitor.finish(self.start, self.state.best_loss());
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();
         let leads = self.run.leads();
