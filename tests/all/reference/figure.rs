@@ -6,7 +6,7 @@ use std::{fmt::Write as _, fs};
 use super::root;
 
 /// Label, colour and rows of the table (first cells), whose points are joined.
-const SERIES: [(&str, &str, &[&str]); 5] = [
+const SERIES: [(&str, &str, &[&str]); 6] = [
     (
         "eddy: trained for 6 minutes, shipped (16 minutes)",
         "#0072b2",
@@ -20,6 +20,7 @@ const SERIES: [(&str, &str, &[&str]); 5] = [
     ("MPM with half the substeps", "#e69f00", &["MPM with half the substeps"]),
     ("NeuralMPM", "#009e73", &["NeuralMPM"]),
     ("Transolver", "#cc79a7", &["Transolver"]),
+    ("GNS", "#56b4e9", &["GNS"]),
 ];
 /// Frames ahead, one panel each.
 const PANELS: [&str; 3] = ["1", "20", "100"];
@@ -33,8 +34,8 @@ const NEXT: f64 = 252.0;
 const LEGEND: [f64; 4] = [64.0, 312.0, 350.0, 20.0];
 /// The axes, which are logarithmic: milliseconds of a frame on one thread, and squared errors relative to the best trivial
 /// predictor.
-const COST: [f64; 2] = [0.5, 200.0];
-const ERROR: [f64; 2] = [0.04, 6.0];
+const COST: [f64; 2] = [0.5, 3000.0];
+const ERROR: [f64; 2] = [0.04, 12.0];
 
 /// Place of a value on a logarithmic axis, 0 to 1.
 fn along([low, high]: [f64; 2], value: f64) -> f64 {
@@ -75,7 +76,7 @@ pub fn svg() -> String {
     let column = |name: &str| header.iter().position(|cell| *cell == name).unwrap();
     let value = |row: &str, name: &str| -> f64 {
         let row = cells(line(row));
-        row[column(name)].parse().unwrap_or_else(|_| panic!("{row:?}: no number under `{name}`"))
+        row[column(name)].replace(',', "").parse().unwrap_or_else(|_| panic!("{row:?}: no number under `{name}`"))
     };
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" font-size=\"13\">\n\
@@ -96,7 +97,7 @@ pub fn svg() -> String {
             legend_top + (number / 2) as f64 * legend_row,
         ]
     };
-    for error in [0.1, 1.0] {
+    for error in [0.1, 1.0, 10.0] {
         let [x, y] = place(0, COST[0], error);
         words([x - 6.0, y + 4.0], "end", &error.to_string());
     }
@@ -104,7 +105,7 @@ pub fn svg() -> String {
         let middle = left + panel as f64 * NEXT + width / 2.0;
         let plural = if *frames == "1" { "" } else { "s" };
         words([middle, top - 10.0], "middle", &format!("{frames} frame{plural} ahead"));
-        for cost in [1.0, 10.0, 100.0] {
+        for cost in [1.0, 10.0, 100.0, 1000.0] {
             let [x, y] = place(panel, cost, ERROR[0]);
             words([x, y + 16.0], "middle", &cost.to_string());
         }
@@ -125,7 +126,7 @@ pub fn svg() -> String {
     )
     .unwrap();
     for panel in 0..PANELS.len() {
-        for (error, colour) in [(0.1, "#dddddd"), (1.0, "#333333"), (ERROR[0], "#dddddd")] {
+        for (error, colour) in [(0.1, "#dddddd"), (1.0, "#333333"), (10.0, "#dddddd"), (ERROR[0], "#dddddd")] {
             let ([x1, y], [x2, _]) = (place(panel, COST[0], error), place(panel, COST[1], error));
             writeln!(svg, "<line x1=\"{x1:.1}\" y1=\"{y:.1}\" x2=\"{x2:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\"/>").unwrap();
         }
