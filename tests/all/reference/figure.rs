@@ -76,7 +76,10 @@ pub fn svg() -> String {
     let column = |name: &str| header.iter().position(|cell| *cell == name).unwrap();
     let value = |row: &str, name: &str| -> f64 {
         let row = cells(line(row));
-        row[column(name)].replace(',', "").parse().unwrap_or_else(|_| panic!("{row:?}: no number under `{name}`"))
+        row[column(name)]
+            .replace(',', "")
+            .parse()
+            .unwrap_or_else(|_| panic!("{row:?}: no number under `{name}`"))
     };
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" font-family=\"sans-serif\" font-size=\"13\">\n\
@@ -126,7 +129,9 @@ pub fn svg() -> String {
     )
     .unwrap();
     for panel in 0..PANELS.len() {
-        for (error, colour) in [(0.1, "#dddddd"), (1.0, "#333333"), (10.0, "#dddddd"), (ERROR[0], "#dddddd")] {
+        for (error, colour) in
+            [(0.1, "#dddddd"), (1.0, "#333333"), (10.0, "#dddddd"), (ERROR[0], "#dddddd")]
+        {
             let ([x1, y], [x2, _]) = (place(panel, COST[0], error), place(panel, COST[1], error));
             writeln!(svg, "<line x1=\"{x1:.1}\" y1=\"{y:.1}\" x2=\"{x2:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\"/>").unwrap();
         }

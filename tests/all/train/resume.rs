@@ -2,6 +2,7 @@
 
 use std::{fs, num::NonZeroUsize, path::Path};
 
+use eddy_evaluation::dataset::Dataset;
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_inference::engine::Surrogate;
 use eddy_learning::train::{OptimizerKind, Schedule, TrainConfig, UnrollStage, rollout_loss};
@@ -39,6 +40,11 @@ fn eventful(architecture: Architecture, core: Core) -> TrainConfig {
 
 #[test]
 fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
+    let mut dataset = dataset();
+    let Dataset { train, validation, test, .. } = &mut dataset;
+    for (number, stream) in train.iter_mut().chain(validation).chain(test).enumerate() {
+        stream.stiffness = Some([1e3, 2e4, 1e5][number % 3]);
+    }
     for (architecture, core, weights, optimizer) in [
         (Architecture::Particle, Core::MinGru, WeightFormat::F32, OptimizerKind::Muon),
         (Architecture::Particle, Core::Lstm, WeightFormat::F16, OptimizerKind::Adam),
@@ -47,11 +53,12 @@ fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
     ] {
         let mut config = eventful(architecture, core);
         (config.network.weights, config.optimizer.kind) = (weights, optimizer);
+        config.network.stiffness = core == Core::Lstm;
         let (once, in_parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-        let whole = run(&config, &dataset(), once.path()).unwrap();
-        let first = interrupted(&config, &dataset(), in_parts.path(), config.batches() + 5);
+        let whole = run(&config, &dataset, once.path()).unwrap();
+        let first = interrupted(&config, &dataset, in_parts.path(), config.batches() + 5);
         assert_eq!((first.epochs.len(), first.interrupted), (1, true));
-        let rest = resume(&config, &dataset(), in_parts.path()).unwrap();
+        let rest = resume(&config, &dataset, in_parts.path()).unwrap();
         assert_eq!(rest.epochs, whole.epochs, "{architecture:?} {core:?}");
         assert_eq!(rest.best, whole.best);
         same(once.path(), in_parts.path());

@@ -126,8 +126,9 @@ pub struct WindowConfig {
 pub enum LossKind {
     /// By the feature's range in the training split: the mean squared error of MinMax-scaled features (the paper's eq. 2).
     Mse,
-    /// By the best trivial predictor's error for the same material and number of frames ahead; the square root of the sum for
-    /// each window, since these sums are heavy-tailed.
+    /// By the best trivial predictor's error for the same material and number of frames ahead, and, if the network is conditioned
+    /// on the stiffness, for about the same stiffness; the square root of the sum for each window, since these sums are
+    /// heavy-tailed.
     Relative,
 }
 
@@ -143,8 +144,8 @@ pub struct LossConfig {
     pub velocity_weight: f32,
     /// Weight of one-step predictions during the warm-up, relative to those of the unroll.
     pub observed_weight: f32,
-    /// Relative loss: exponent of the error over all windows in the divisor; the rest is the error of the window. With 1,
-    /// windows count by their errors; with 0, all windows count alike.
+    /// Relative loss: exponent of the error over all windows (of about the same stiffness) in the divisor; the rest is the
+    /// error of the window. With 1, windows count by their errors; with 0, all windows count alike.
     pub common_share: f32,
     /// Weight of the mean squared error of density maps (whose mean is 1).
     pub density_weight: f32,

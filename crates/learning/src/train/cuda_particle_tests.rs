@@ -9,7 +9,7 @@ use super::{
     LossKind, NoiseConfig, OptimizerKind, TrainConfig, UnrollStage, cuda,
     cuda_tests::{named, relative_error},
     gradients::GradientTask,
-    loss_weights::{LossScale, TrivialSums},
+    loss_weights::{CommonSums, LossScale},
     optimizer::Correction,
     state::RunState,
     steps::Learner,
@@ -174,7 +174,7 @@ fn scale<'a>(
         common: Vec::new(),
     };
     if config.loss.kind == LossKind::Relative {
-        let mut sums = TrivialSums::new(config.unroll[0].frames);
+        let mut sums = CommonSums::new(config.unroll[0].frames, config.network.stiffness);
         for window in sampler.draw(20, &mut state.order).unwrap() {
             sums.add(&window, &scale.ballistic);
         }

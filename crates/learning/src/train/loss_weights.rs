@@ -5,7 +5,10 @@
 //! Relative error: divided by the error of the best trivial predictor for the same material and number of frames ahead, so
 //! that 1 means "no better than trivial" for every frame. The divisor is between the error of the window and the mean over all
 //! windows: with the former alone, windows at rest, where nothing remains to be learned, would count as much as a splash;
-//! with the latter alone, they would hardly count. Errors below [`RESOLUTION`] are not distinguished.
+//! with the latter alone, they would hardly count. Errors below [`RESOLUTION`] are not distinguished. For a network that is
+//! conditioned on the stiffness, the mean is over windows of about the same stiffness, since trivial errors depend on it.
+
+use std::borrow::Cow;
 
 use super::{LossConfig, LossKind, window::Window};
 use eddy_evaluation::{Baseline, dataset::State};
@@ -14,6 +17,12 @@ use eddy_inference::{checkpoint::Normalization, engine::Ballistic};
 
 /// Position error below which accuracy is irrelevant (domain lengths): a thirtieth of a cell.
 const RESOLUTION: f64 = 5e-4;
+
+/// The powers of ten at which trivial errors are averaged by stiffness (Young's modulus in density x velocity^2); between
+/// them they are interpolated.
+const DECADES: [f64; 5] = [2.0, 3.0, 4.0, 5.0, 6.0];
+/// Weight of the mean over all stiffnesses in that at each of them, relative to the number of all windows.
+const OF_ALL: f64 = 0.05;
 
 /// Squared errors of a material: position, velocity.
 type Pair = [f64; 2];
@@ -27,7 +36,8 @@ pub(super) struct LossScale<'a> {
     pub(super) normalization: &'a Normalization,
     /// For the trivial predictors.
     pub(super) ballistic: Ballistic,
-    /// Trivial errors over many windows.
+    /// Trivial errors over many windows; for a network that is conditioned on the stiffness, at each of [`DECADES`], one
+    /// after the other.
     pub(super) common: TrivialErrors,
 }
 
@@ -43,7 +53,8 @@ impl LossScale<'_> {
             }
             LossKind::Relative => {
                 let own = self.needs_windows().then(|| self.trivial(window, unroll));
-                let frames = self.relative(&window.material, own.as_ref(), unroll);
+                let frames =
+                    self.relative(&window.material, window.stiffness, own.as_ref(), unroll);
                 [0, 1].map(|part| {
                     let kinds = |frame: &[[f32; Material::COUNT]; 2]| {
                         let weight = frame[part];
@@ -72,15 +83,18 @@ impl LossScale<'_> {
     }
 
     /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material, of a window of
-    /// particles of these materials; `own` are the trivial errors in it, needed only if the divisor depends on them.
+    /// particles of these materials and of this stiffness; `own` are the trivial errors in it, needed only if the divisor
+    /// depends on them.
     pub(super) fn relative(
         &self,
         material: &[Material],
+        stiffness: Option<f32>,
         own: Option<&TrivialErrors>,
         unroll: usize,
     ) -> Vec<[[f32; Material::COUNT]; 2]> {
         let sums = self.shares();
-        let own = own.unwrap_or(&self.common);
+        let common = self.common_at(stiffness, unroll);
+        let own = own.map_or(&*common, Vec::as_slice);
         let counts = counts(material);
         let present = counts.iter().filter(|&&count| count > 0.0).count() as f64;
         let share = f64::from(self.loss.common_share);
@@ -95,7 +109,28 @@ impl LossScale<'_> {
                 })
             })
         };
-        own.iter().zip(&self.common).map(frame).collect()
+        own.iter().zip(&*common).map(frame).collect()
+    }
+
+    /// Trivial errors over many windows of about this stiffness, by frame ahead.
+    fn common_at(
+        &self,
+        stiffness: Option<f32>,
+        unroll: usize,
+    ) -> Cow<'_, [[Pair; Material::COUNT]]> {
+        let Some(stiffness) = stiffness.filter(|_| self.common.len() > unroll) else {
+            return Cow::Borrowed(&self.common);
+        };
+        let shares = shares_of_decades(stiffness);
+        let mut mean = vec![[[0.0; 2]; Material::COUNT]; unroll];
+        for (share, errors) in shares.into_iter().zip(self.common.chunks(unroll)) {
+            for (mean, errors) in mean.as_flattened_mut().iter_mut().zip(errors.as_flattened()) {
+                for (mean, error) in mean.iter_mut().zip(errors) {
+                    *mean += share * error;
+                }
+            }
+        }
+        Cow::Owned(mean)
     }
 
     /// Weights of positions and velocities.
@@ -117,6 +152,61 @@ impl LossScale<'_> {
     }
 }
 
+/// Number of lists of errors in [`LossScale::common`].
+pub(super) fn parts_of_common(by_stiffness: bool) -> usize {
+    if by_stiffness { DECADES.len() } else { 1 }
+}
+
+/// How much each of [`DECADES`] counts for a stiffness between two of them.
+fn shares_of_decades(stiffness: f32) -> [f64; DECADES.len()] {
+    let [lowest, .., highest] = DECADES;
+    let power = f64::from(stiffness).log10().clamp(lowest, highest);
+    DECADES.map(|decade| (1.0 - (power - decade).abs()).max(0.0))
+}
+
+/// Sums of the trivial predictors' squared errors over windows, from which [`LossScale::common`] is made.
+pub(super) struct CommonSums {
+    all: TrivialSums,
+    /// For a network that is conditioned on the stiffness.
+    decades: Option<[TrivialSums; DECADES.len()]>,
+}
+
+impl CommonSums {
+    /// Empty sums for the last `unroll` frames of each window.
+    pub(super) fn new(unroll: usize, by_stiffness: bool) -> Self {
+        let empty = || TrivialSums::new(unroll);
+        Self { all: empty(), decades: by_stiffness.then(|| DECADES.map(|_| empty())) }
+    }
+
+    /// Adds the errors of a window.
+    pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
+        self.all.add(window, ballistic);
+        if let (Some(decades), Some(stiffness)) = (&mut self.decades, window.stiffness) {
+            let mut sums = TrivialSums::new(self.all.unroll());
+            sums.add(window, ballistic);
+            for (decade, share) in decades.iter_mut().zip(shares_of_decades(stiffness)) {
+                decade.merge(&sums, share);
+            }
+        }
+    }
+
+    /// Mean errors of the best predictor for each material and frame, and each of [`DECADES`].
+    pub(super) fn best(self) -> TrivialErrors {
+        let Self { all, decades } = self;
+        match decades {
+            None => all.best(),
+            Some(decades) => {
+                let of = |mut sums: TrivialSums| {
+                    // Few windows of a kind would give an error by chance, none at all no error.
+                    sums.merge(&all, OF_ALL);
+                    sums.best()
+                };
+                decades.into_iter().flat_map(of).collect()
+            }
+        }
+    }
+}
+
 /// Sums of the trivial predictors' squared errors over the last frames of windows.
 pub(super) struct TrivialSums {
     baselines: [TrivialErrors; Baseline::ALL.len()],
@@ -133,8 +223,8 @@ impl TrivialSums {
 
     /// Adds the errors of a window.
     pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
+        let unroll = self.unroll();
         for (baseline, sums) in Baseline::ALL.into_iter().zip(&mut self.baselines) {
-            let unroll = sums.len();
             let (observed, truth) = window.states.split_at(window.states.len() - unroll);
             let predicted = baseline.roll_out(&observed[observed.len() - 1], unroll, ballistic);
             for ((sums, predicted), truth) in sums.iter_mut().zip(&predicted).zip(truth) {
@@ -146,6 +236,25 @@ impl TrivialSums {
         }
     }
 
+    /// Frames of each window.
+    fn unroll(&self) -> usize {
+        self.baselines[0].len()
+    }
+
+    /// Adds other sums, multiplied by a weight.
+    fn merge(&mut self, other: &Self, weight: f64) {
+        for (sums, others) in self.baselines.iter_mut().zip(&other.baselines) {
+            let sums = sums.as_flattened_mut().as_flattened_mut();
+            let others = others.as_flattened().as_flattened();
+            for (sum, other) in sums.iter_mut().zip(others) {
+                *sum += weight * other;
+            }
+        }
+        for (count, other) in self.particles.iter_mut().zip(other.particles) {
+            *count += weight * other;
+        }
+    }
+
     /// Mean errors of the best predictor for each material and frame.
     pub(super) fn best(self) -> TrivialErrors {
         let Self { baselines, particles } = self;
@@ -154,7 +263,7 @@ impl TrivialSums {
             for (best, errors) in best.iter_mut().zip(errors) {
                 for ((best, errors), count) in best.iter_mut().zip(errors).zip(particles) {
                     for (best, error) in best.iter_mut().zip(errors) {
-                        *best = best.min(error / count.max(1.0));
+                        *best = best.min(error / count.max(f64::MIN_POSITIVE));
                     }
                 }
             }
@@ -180,4 +289,85 @@ fn counts(material: &[Material]) -> [f64; Material::COUNT] {
         counts[kind as usize] += 1.0;
     }
     counts
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::{super::TrainConfig, *};
+    use eddy_frames::Domain;
+    use eddy_inference::checkpoint::{Architecture, Core, Description, Sizes};
+
+    const UNROLL: usize = 2;
+
+    /// A particle that is pushed after the first frame, `error` domain lengths per second faster each frame.
+    fn window(stiffness: f32, material: Material, error: f32) -> Window {
+        let state = |frame: f32| State {
+            position: vec![[0.5 + 0.016 * frame, 0.5]],
+            velocity: vec![[1.0 + error * frame, 0.0]],
+        };
+        Window {
+            stream: 0,
+            start: 0,
+            material: vec![material],
+            rest: vec![[0.5; 2]],
+            stiffness: Some(stiffness),
+            states: (0..=UNROLL).map(|frame| state(frame as f32)).collect(),
+            noisy: None,
+        }
+    }
+
+    fn description() -> Description {
+        let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
+        Description {
+            domain: Domain::UNIT,
+            gravity: [0.0; 2],
+            ..Description::untrained(Architecture::Particle, Core::MinGru, sizes)
+        }
+    }
+
+    /// Squared velocity error of a material at frame 1 that is taken as trivial at a stiffness.
+    fn divisor(windows: &[Window], by_stiffness: bool, stiffness: f32, material: Material) -> f64 {
+        let (config, description) = (TrainConfig::defaults(Architecture::Particle), description());
+        let ballistic = Ballistic::new(&description);
+        let mut sums = CommonSums::new(UNROLL, by_stiffness);
+        windows.iter().for_each(|window| sums.add(window, &ballistic));
+        let normalization = &description.normalization;
+        let scale = LossScale { loss: &config.loss, normalization, ballistic, common: sums.best() };
+        assert_eq!(scale.common.len(), UNROLL * parts_of_common(by_stiffness));
+        scale.common_at(Some(stiffness), UNROLL)[0][material as usize][1]
+    }
+
+    #[test]
+    fn the_trivial_error_is_that_at_the_stiffness_of_a_window() {
+        let soft: Vec<_> = (0..50).map(|_| window(1e3, Material::Snow, 0.1)).collect();
+        let stiff = (0..50).map(|_| window(1e5, Material::Snow, 1.0));
+        let both: Vec<_> = soft.iter().cloned().chain(stiff).collect();
+        let pooled = divisor(&both, false, 1e3, Material::Snow);
+        assert!((pooled - 0.505).abs() < 1e-3, "the mean of .01 and 1: {pooled}");
+        // Half of the windows, and a twentieth of all.
+        let mixed = |own: f64| (0.5 * own + OF_ALL * 0.505) / (0.5 + OF_ALL);
+        for (stiffness, own) in [(1e3, 0.01), (1e5, 1.0)] {
+            let found = divisor(&both, true, stiffness, Material::Snow);
+            assert!((found - mixed(own)).abs() < 1e-3, "{stiffness}: {found}, {}", mixed(own));
+        }
+        // No window is near: the mean of all.
+        let far = divisor(&both, true, 1e2, Material::Snow);
+        assert!((far - 0.505).abs() < 1e-3, "{far}");
+        // A material that is rare at a stiffness has the error of all of its windows.
+        let rope = [both, vec![window(1e5, Material::Rope, 0.3)]].concat();
+        let found = divisor(&rope, true, 1e3, Material::Rope);
+        assert!((found - 0.09).abs() < 1e-3, "{found}");
+    }
+
+    proptest! {
+        #[test]
+        fn neighbouring_powers_of_ten_share_a_stiffness(power in 0.0f64..8.0) {
+            let shares = shares_of_decades(10f64.powf(power) as f32);
+            prop_assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-6);
+            let mean: f64 = shares.iter().zip(DECADES).map(|(share, decade)| share * decade).sum();
+            prop_assert!((mean - power.clamp(2.0, 6.0)).abs() < 1e-5);
+        }
+    }
 }

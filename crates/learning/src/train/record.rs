@@ -7,7 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::{Epoch, LossKind, Run, TrainConfig, TrainError, loss_weights::TrivialErrors};
+use super::{
+    Epoch, LossKind, Run, TrainConfig, TrainError,
+    loss_weights::{self, TrivialErrors},
+};
 use eddy_inference::checkpoint::Description;
 
 /// Version of the format. It increases when older records would be misread.
@@ -111,7 +114,9 @@ pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
     }
     let expected = match record.config.loss.kind {
         LossKind::Mse => 0,
-        LossKind::Relative => record.unroll,
+        LossKind::Relative => {
+            record.unroll * loss_weights::parts_of_common(record.config.network.stiffness)
+        }
     };
     if record.common.len() != expected {
         return Err(damaged(file, "common", record.common.len(), expected));

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     Dependencies, Epoch, LossKind, Outcome, Run, TrainConfig, TrainError,
     gradients::GradientTask,
-    loss_weights::{LossScale, TrivialErrors, TrivialSums},
+    loss_weights::{CommonSums, LossScale, TrivialErrors},
     monitor::{BatchMetrics, Monitor},
     movement::Movement,
     resume, sampler, schedule,
@@ -280,7 +280,7 @@ impl Trainer<'_> {
         if self.config.loss.kind == LossKind::Mse {
             return Ok(Vec::new());
         }
-        let mut sums = TrivialSums::new(self.state.unroll);
+        let mut sums = CommonSums::new(self.state.unroll, self.config.network.stiffness);
         for _ in 0..COMMON_WINDOWS / COMMON_GROUP {
             for window in self.sampler.draw(COMMON_GROUP, &mut self.state.order)? {
                 sums.add(&window, &self.scale.ballistic);

@@ -146,6 +146,12 @@ impl<'a> Sampler<'a> {
         &self.streams[draw.stream].material
     }
 
+    /// Stiffness of a window's stream, if it is known.
+    #[cfg(feature = "cuda")]
+    pub(super) fn stiffness(&self, draw: &Draw) -> Option<f32> {
+        self.streams[draw.stream].stiffness
+    }
+
     pub(super) fn cut(&self, draw: Draw) -> Result<Window, TrainError> {
         let Draw { stream, start, mirrored, noise } = draw;
         let stream = &self.streams[stream];

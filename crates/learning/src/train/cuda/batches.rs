@@ -81,7 +81,7 @@ pub(in crate::train) fn weights(
 ) -> Result<Vec<[f32; 4]>, TrainError> {
     type OfFrame = [[f32; 4]; Material::COUNT];
     let of_window = |draw: &Draw| -> Result<Vec<OfFrame>, TrainError> {
-        let material = sampler.material(draw);
+        let (material, stiffness) = (sampler.material(draw), sampler.stiffness(draw));
         if scale.loss.kind == LossKind::Mse {
             return Ok(vec![[scale.squared(unroll * material.len()); Material::COUNT]; unroll]);
         }
@@ -95,7 +95,11 @@ pub(in crate::train) fn weights(
                 [x, x, v, v]
             })
         };
-        Ok(scale.relative(material, own.as_ref(), unroll).into_iter().map(of_frame).collect())
+        Ok(scale
+            .relative(material, stiffness, own.as_ref(), unroll)
+            .into_iter()
+            .map(of_frame)
+            .collect())
     };
     let windows = draws.iter().map(of_window).collect::<Result<Vec<_>, TrainError>>()?;
     let of_frame = |frame: usize| windows.iter().flat_map(move |window| window[frame]);
