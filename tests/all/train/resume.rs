@@ -45,15 +45,15 @@ fn a_run_in_parts_gives_the_bits_of_a_run_in_one() {
     for (number, stream) in train.iter_mut().chain(validation).chain(test).enumerate() {
         stream.stiffness = Some([1e3, 2e4, 1e5][number % 3]);
     }
-    for (architecture, core, weights, optimizer) in [
-        (Architecture::Particle, Core::MinGru, WeightFormat::F32, OptimizerKind::Muon),
-        (Architecture::Particle, Core::Lstm, WeightFormat::F16, OptimizerKind::Adam),
-        (Architecture::Frame, Core::MinLstm, WeightFormat::F16, OptimizerKind::Adam),
-        (Architecture::Frame, Core::Mlp, WeightFormat::F32, OptimizerKind::Muon),
+    for (architecture, core, stiffness, weights, optimizer) in [
+        (Architecture::Particle, Core::MinGru, false, WeightFormat::F32, OptimizerKind::Muon),
+        (Architecture::Particle, Core::Lstm, true, WeightFormat::F16, OptimizerKind::Adam),
+        (Architecture::Frame, Core::MinLstm, false, WeightFormat::F16, OptimizerKind::Adam),
+        (Architecture::Frame, Core::Mlp, false, WeightFormat::F32, OptimizerKind::Muon),
     ] {
         let mut config = eventful(architecture, core);
         (config.network.weights, config.optimizer.kind) = (weights, optimizer);
-        config.network.stiffness = core == Core::Lstm;
+        config.network.stiffness = stiffness;
         let (once, in_parts) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let whole = run(&config, &dataset, once.path()).unwrap();
         let first = interrupted(&config, &dataset, in_parts.path(), config.batches() + 5);

@@ -50,7 +50,7 @@ fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
         (config.seed, config.epochs, config.optimizer.learning_rate) = (2, 1, 1e-9);
         config.network.weights = WeightFormat::F32;
         if average > 0.0 {
-            // The average, too, begins at the weights.
+            // The average, too, begins at the weights: after one step it is no other.
             config.windows.per_epoch = config.windows.batch;
         }
         let outcome = from(&start, &config, &other(), &second).unwrap();

@@ -21,7 +21,7 @@ const RESOLUTION: f64 = 5e-4;
 /// The powers of ten at which trivial errors are averaged by stiffness (Young's modulus in density x velocity^2); between
 /// them they are interpolated.
 const DECADES: [f64; 5] = [2.0, 3.0, 4.0, 5.0, 6.0];
-/// Weight of the mean over all stiffnesses in that at each of them, relative to the number of all windows.
+/// What a window of any stiffness counts for at each of [`DECADES`], beside its own share there.
 const OF_ALL: f64 = 0.05;
 
 /// Squared errors of a material: position, velocity.
@@ -118,9 +118,10 @@ impl LossScale<'_> {
         stiffness: Option<f32>,
         unroll: usize,
     ) -> Cow<'_, [[Pair; Material::COUNT]]> {
-        let Some(stiffness) = stiffness.filter(|_| self.common.len() > unroll) else {
+        if self.common.len() <= unroll {
             return Cow::Borrowed(&self.common);
-        };
+        }
+        let stiffness = stiffness.expect("checked before a training begins");
         let shares = shares_of_decades(stiffness);
         let mut mean = vec![[[0.0; 2]; Material::COUNT]; unroll];
         for (share, errors) in shares.into_iter().zip(self.common.chunks(unroll)) {
@@ -236,7 +237,7 @@ impl TrivialSums {
         }
     }
 
-    /// Frames of each window.
+    /// Freely predicted frames of each window.
     fn unroll(&self) -> usize {
         self.baselines[0].len()
     }

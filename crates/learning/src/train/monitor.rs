@@ -219,26 +219,26 @@ impl<'a> Monitor<'a> {
         Ok(())
     }
 
-    /// Reports the checkpoint that the run starts from, before any step.
-    pub(super) fn starts_from(&self, score: &Score) {
+    /// Reports how good the checkpoint is that the run starts from; the first epoch begins now.
+    pub(super) fn starts_from(&mut self, score: &Score) {
         let Score { loss, first_skill, last_skill } = score;
         let [first, last] = [*first_skill, *last_skill].map(skill_text);
         let text =
             format!("the checkpoint to start from: validation {loss:.4}  skill {first} {last}");
         self.progress.message(&text);
+        self.epoch_start.0 = self.elapsed();
     }
 
-    /// Ends the report of a run, with the validation losses of the checkpoint that it started from, if it did, and of its best
-    /// epoch.
-    pub(super) fn finish(&self, start: Option<f64>, best: Option<f64>) {
-        if let (Some(start), Some(best)) = (start, best)
-            && best >= start
-        {
-            self.progress.message(&format!(
-                "no epoch is better than the checkpoint to start from: the lowest validation loss is {best:.4}, that of the \
-                 checkpoint {start:.4}; train longer, or with a smaller optimizer.learning_rate"
-            ));
-        }
+    /// Reports that the best epoch of a run is no better than the checkpoint that it started from, by their validation losses.
+    pub(super) fn is_no_better(&self, start: f64, best: f64) {
+        self.progress.message(&format!(
+            "no epoch is better than the checkpoint to start from: lowest validation loss {best:.6}, of the checkpoint \
+             {start:.6}; train longer, or with a smaller optimizer.learning_rate"
+        ));
+    }
+
+    /// Ends the report.
+    pub(super) fn finish(&self) {
         self.progress.finish();
     }
 }

@@ -61,8 +61,8 @@ impl Correction {
             rate: (rate / (1.0 - f64::from(BETA_1).powi(power))) as f32,
             root: (1.0 - f64::from(BETA_2).powi(power)).sqrt() as f32,
             plain_rate: rate as f32,
-            // The average begins with the weights after the first step, and is shorter in the next ones, to forget them
-            // quickly.
+            // The average begins at the weights after the first step, and is over few steps at first, so that early weights are
+            // forgotten quickly.
             kept: match power {
                 1 => 0.0,
                 _ => config.average.min((1.0 + power as f32) / (10.0 + power as f32)),

@@ -119,7 +119,8 @@ pub(super) fn read(file: &Path) -> Result<Record, TrainError> {
         }
     };
     if record.common.len() != expected {
-        return Err(damaged(file, "common", record.common.len(), expected));
+        let expected = format!("{expected} frames, as this version of eddy writes them");
+        return Err(damaged(file, "common", format!("{} frames", record.common.len()), expected));
     }
     Ok(record)
 }

@@ -13,7 +13,8 @@ use super::{
     resume, sampler, schedule,
     state::{RunState, weights_at_start},
     steps::{Learner, Step},
-    together, validate,
+    together,
+    validate::{self, Score},
     window::{self, Sampler},
 };
 use crate::{model::dropout::Dropout, ranks::Group};
@@ -59,23 +60,21 @@ pub(super) fn take_epochs(
         common: state.common.clone(),
     };
     let output = run.leads().then_some(run.output);
-    let monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
+    let mut monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
     let mut learner = (dependencies.learner)(description, group).map_err(explained)?;
     let initial = if run.leads() {
         weights_at_start(config, description, run.start)
     } else {
         BTreeMap::new()
     };
-    let start = match run.start.filter(|_| run.leads()) {
-        Some(_) => {
-            let checkpoint = Checkpoint::new(description.clone(), initial.clone());
-            let surrogate = learner.surrogate(&checkpoint.with_weights(config.network.weights))?;
-            let score = validate::validate(&config.validation, &surrogate, &dataset.validation)?;
-            monitor.starts_from(&score);
-            Some(score.loss)
-        }
-        None => None,
-    };
+    let mut start = None;
+    if run.start.is_some() && run.leads() {
+        let checkpoint = Checkpoint::new(description.clone(), initial.clone());
+        let published = checkpoint.with_weights(config.network.weights);
+        let score = score(&mut learner, config, dataset, &published).map_err(explained)?;
+        monitor.starts_from(&score);
+        start = Some(score.loss);
+    }
     let mut trainer = Trainer {
         config,
         dataset,
@@ -120,6 +119,17 @@ pub(super) fn take_epochs(
         }
     }
     trainer.finish(interrupted)
+}
+
+/// Validates a checkpoint.
+fn score(
+    learner: &mut Learner,
+    config: &TrainConfig,
+    dataset: &Dataset,
+    checkpoint: &Checkpoint,
+) -> Result<Score, TrainError> {
+    let surrogate = learner.surrogate(checkpoint)?;
+    validate::validate(&config.validation, &surrogate, &dataset.validation)
 }
 
 /// Shortest time between two saves of a run on a GPU, whose epochs may take less time than a save.
@@ -405,7 +415,12 @@ impl Trainer<'_> {
 
     /// Enters the number of epochs in the best checkpoint.
     fn finish(self, interrupted: bool) -> Result<Outcome, TrainError> {
-        self.monitor.finish(self.start, self.state.best_loss());
+        self.monitor.finish();
+        if let (Some(start), Some(best), false) = (self.start, self.state.best_loss(), interrupted)
+            && best >= start
+        {
+            self.monitor.is_no_better(start, best);
+        }
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();
         let leads = self.run.leads();
