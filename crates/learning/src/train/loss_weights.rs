@@ -181,13 +181,14 @@ impl CommonSums {
 
     /// Adds the errors of a window.
     pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
-        self.all.add(window, ballistic);
-        if let (Some(decades), Some(stiffness)) = (&mut self.decades, window.stiffness) {
-            let mut sums = TrivialSums::new(self.all.unroll());
-            sums.add(window, ballistic);
-            for (decade, share) in decades.iter_mut().zip(shares_of_decades(stiffness)) {
-                decade.merge(&sums, share);
-            }
+        let (Some(decades), Some(stiffness)) = (&mut self.decades, window.stiffness) else {
+            return self.all.add(window, ballistic);
+        };
+        let mut sums = TrivialSums::new(self.all.unroll());
+        sums.add(window, ballistic);
+        self.all.merge(&sums, 1.0);
+        for (decade, share) in decades.iter_mut().zip(shares_of_decades(stiffness)) {
+            decade.merge(&sums, share);
         }
     }
 
