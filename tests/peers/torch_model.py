@@ -4,6 +4,7 @@ A model is described by the contents of `model.toml`. Its `state_dict` has the n
 `model.safetensors`, so that checkpoints can be exchanged in both directions with `load` and `save`.
 """
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,26 @@ def network(description: dict[str, Any]) -> Model:
     return kinds[description["architecture"]](description)
 
 
-def load(directory: Path) -> Model:
-    """The network of a checkpoint, which must have exactly the expected tensors."""
-    model = network(tomllib.loads((directory / "model.toml").read_text()))
-    model.load_state_dict(load_file(directory / "model.safetensors"), strict=True)
+def load(directory: Path, stiffness: float | None = None) -> Model:
+    """The network of a checkpoint, which must have exactly the expected tensors. One with weights for several stiffnesses has those
+    for streams of the given one."""
+    description = tomllib.loads((directory / "model.toml").read_text())
+    model, tensors = network(description), load_file(directory / "model.safetensors")
+    if knots := description.get("stiffness_knots"):
+        tensors = {name: between(knots, values.float(), stiffness) for name, values in tensors.items()}
+    model.load_state_dict(tensors, strict=True)
     return model
+
+
+def between(knots: list[float], values: torch.Tensor, stiffness: float | None) -> torch.Tensor:
+    """Values of several stiffnesses, along the first axis, interpolated linearly in its logarithm; the nearest ones beyond the ends."""
+    if stiffness is None:
+        raise ValueError("found no stiffness, expected one: the checkpoint has weights for several")
+    places = [math.log(knot) for knot in knots]
+    here = min(max(math.log(stiffness), places[0]), places[-1])
+    upper = next(number for number in range(1, len(places)) if here <= places[number])
+    share = (here - places[upper - 1]) / (places[upper] - places[upper - 1])
+    return (1 - share) * values[upper - 1] + share * values[upper]
 
 
 def save(model: Model, description: dict[str, Any], directory: Path) -> None:

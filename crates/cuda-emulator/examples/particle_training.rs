@@ -143,6 +143,7 @@ impl Problem {
                 windows: (0..batch).map(|i| window(i + step * batch)).collect(),
                 rate: 1e-3 / (1.0 - 0.9f32.powi(step as i32)),
                 plain_rate: 1e-3,
+                shares: [1.0, 0.0, 0.0, 0.0],
                 correction: 1.0 / (1.0 - 0.999f32.powi(step as i32)).sqrt(),
                 kept: 0.5,
                 dropout: [0; 32],

@@ -18,9 +18,9 @@ use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, Form, GridOptions, Normalization, Rules,
-        Sizes, initial_weights,
+        Sizes, initial_weights, tensors_of_knots,
     },
-    engine::Surrogate,
+    engine::{Accelerator, StepRequest, Surrogate},
 };
 use streams::{checkpoint, description, frames, largest_difference, predict, threads};
 
@@ -49,13 +49,16 @@ fn descriptions() -> impl Strategy<Value = Description> {
 
 /// The network in the emulator.
 fn emulated(checkpoint: &Checkpoint) -> Surrogate {
-    let Checkpoint { description, tensors, .. } = checkpoint;
+    Surrogate::on_devices(checkpoint, |checkpoint| Ok(device(checkpoint))).unwrap()
+}
+
+fn device(Checkpoint { description, tensors, .. }: &Checkpoint) -> Arc<dyn Accelerator> {
     let device = Emulator::new(&Constants::of(description).unwrap()).unwrap();
     // More threads than there are by default, which copy parts of a frame.
     let inference = Inference::new(Arc::new(device), description, tensors)
         .unwrap()
         .with_threads(NonZeroUsize::new(5));
-    Surrogate::on_device(checkpoint, Arc::new(Streams::new(inference))).unwrap()
+    Arc::new(Streams::new(inference))
 }
 
 /// The largest difference of two predictions.
@@ -172,6 +175,43 @@ fn each_stream_has_a_stiffness_of_its_own() {
     let [soft, stiff] = states.each_mut().map(|state| stepper.step(state, first));
     assert_ne!(soft, stiff);
     assert_eq!(stepper.step(&mut copy, first), stiff, "a copy");
+}
+
+#[test]
+fn each_stream_has_the_weights_of_its_stiffness() {
+    let mut description = small(Core::MinGru).description;
+    description.stiffness = true;
+    let parts = [5, 6].map(|seed| checkpoint(description.clone(), seed));
+    description.stiffness_knots = vec![1e3, 1e5];
+    let tensors = tensors_of_knots(&parts.clone().map(|part| part.tensors));
+    let combined = Checkpoint::new(description, tensors);
+    let frames = frames(3, 100, 4);
+    let run = |surrogate: &Surrogate| {
+        let start = |e| surrogate.start_with_stiffness(&frames[0], Some(e)).unwrap();
+        let mut states = [1e3, 2e4, 1e3].map(start);
+        let (mut stepper, mut predicted) =
+            (surrogate.stepper(), [(); 3].map(|()| frames[0].clone()));
+        for frame in &frames {
+            let pairs = states.iter_mut().zip(&mut predicted);
+            let steps =
+                pairs.map(|(hidden, next)| StepRequest { hidden, frame: frame.into(), next });
+            stepper.step_all(&mut steps.collect::<Vec<_>>());
+            stepper.check().unwrap();
+        }
+        predicted
+    };
+    let found = run(&emulated(&combined));
+    let expected = run(&Surrogate::load(&combined, threads(1)).unwrap());
+    for (found, expected) in found.iter().zip(&expected) {
+        assert!(apart(found, expected) <= TOLERANCE);
+    }
+    assert_eq!(found[0], found[2]);
+    assert_ne!(found[0], found[1]);
+    let refused = Surrogate::on_device(&combined, device(&parts[0])).err().unwrap().to_string();
+    assert_eq!(
+        refused,
+        "the device has one set of weights, the checkpoint some for several stiffnesses"
+    );
 }
 
 #[test]

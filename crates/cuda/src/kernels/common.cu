@@ -69,6 +69,7 @@ struct Schedule {
   float kept;        // share of the weights' running average that stays
   float plain_rate;  // learning rate without that correction
   u32 dropout[8];    // key of the generator of dropout masks
+  float shares[4];   // what weights for several stiffnesses count for, MOST_KNOTS of the host
 };
 
 // Where the run is within the tables of the host, and what came of each step.

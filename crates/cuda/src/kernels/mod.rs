@@ -45,6 +45,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
     include_str!("particle_training/muon.cu"),
+    include_str!("particle_training/knots.cu"),
     include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
@@ -155,6 +156,10 @@ kernels! {
     MuonPolynomial = "muon_polynomial",
     /// The change of the weights.
     Muon = "muon",
+    /// Weights between those for several stiffnesses.
+    MixWeights = "mix_weights",
+    /// What shortens the gradients by these.
+    ShareScales = "share_scales",
     /// The end of a step.
     Finish = "finish",
     /// A batch of streams, from the memory of the host.

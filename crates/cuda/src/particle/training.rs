@@ -32,7 +32,7 @@ mod weights;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use eddy_inference::checkpoint::{Description, Weights};
+use eddy_inference::checkpoint::{Description, Weights, tensors_of_knot};
 
 pub use layout::TrainingConstants;
 pub use store::{Store, StoreWriter};
@@ -152,6 +152,7 @@ impl Training {
     fn step(&self) -> Result<()> {
         let Settings { batch, warm_up, truncation, noise: [positions, velocities], .. } =
             self.settings;
+        self.optimizer.mix(&self.tables)?;
         self.transpose()?;
         let shape = Self::over(self.store.most(), plan::PARTICLE_THREADS, warm_up * batch);
         let arguments = [self.plan(), positions.into(), velocities.into()];
@@ -214,7 +215,14 @@ impl InTraining for Training {
     }
 
     fn set_weights(&self, tensors: &BTreeMap<String, Weights>) -> Result<()> {
-        self.optimizer.write_weights(&self.layout.packing.pack(tensors))
+        let packing = &self.layout.packing;
+        let all = match self.settings.knots {
+            1 => packing.pack(tensors),
+            knots => {
+                (0..knots).flat_map(|knot| packing.pack(&tensors_of_knot(tensors, knot))).collect()
+            }
+        };
+        self.optimizer.write_weights(&all)
     }
 
     fn start(&mut self, batches: &[Batch]) -> Result<()> {

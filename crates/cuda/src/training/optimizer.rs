@@ -1,10 +1,13 @@
 //! Weights, their gradients, and Adam, which changes one matrix at a time or several; Muon for the hidden layers' weights.
+//!
+//! If there are weights for several stiffnesses ("knots"), those of a step are a weighted mean of them, and a step changes those of
+//! each knot by its share of the gradient. Lists of tensors then have those of each knot one after the other.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use eddy_inference::checkpoint::Weights;
+use eddy_inference::checkpoint::{Weights, tensors_of_knots};
 
 use super::{
     CHUNKS, Matrix, Packing, Settings, Tables,
@@ -27,8 +30,11 @@ pub struct Optimizer {
     places: Buffer,
     clip: f32,
     epsilon: f32,
+    /// Of a step.
     pub(crate) weights: Buffer,
     pub(crate) gradients: Buffer,
+    knots: Option<Knots>,
+    /// Moments and averages of each knot, if there are several.
     first: Buffer,
     second: Buffer,
     average: Option<Buffer>,
@@ -39,6 +45,24 @@ pub struct Optimizer {
     /// Squares of their norms.
     totals: Buffer,
     muon: Option<Muon>,
+}
+
+/// Weights for several stiffnesses.
+struct Knots {
+    count: usize,
+    /// `[knots, size]`.
+    weights: Buffer,
+    /// What gradients are multiplied by, `[knots, tensors]`.
+    scales: Buffer,
+}
+
+/// What a step changes by its share of the gradient.
+struct Changed {
+    weights: Address,
+    first: Address,
+    second: Address,
+    average: Address,
+    scales: Address,
 }
 
 impl Optimizer {
@@ -68,9 +92,21 @@ impl Optimizer {
             epsilon: settings.epsilon,
             weights: numbers(packing.size)?,
             gradients: numbers(packing.size)?,
-            first: numbers(packing.size)?,
-            second: numbers(packing.size)?,
-            average: settings.average.then(|| numbers(packing.size)).transpose()?,
+            first: numbers(settings.knots * packing.size)?,
+            second: numbers(settings.knots * packing.size)?,
+            average: settings
+                .average
+                .then(|| numbers(settings.knots * packing.size))
+                .transpose()?,
+            knots: (settings.knots > 1)
+                .then(|| {
+                    Ok(Knots {
+                        count: settings.knots,
+                        weights: numbers(settings.knots * packing.size)?,
+                        scales: numbers(settings.knots * packing.tensors)?,
+                    })
+                })
+                .transpose()?,
             squares: numbers(packing.tensors * CHUNKS)?,
             scales: numbers(packing.tensors)?,
             totals: numbers(packing.tensors)?,
@@ -80,9 +116,19 @@ impl Optimizer {
         })
     }
 
-    /// Puts packed weights onto the device.
+    /// Sets of weights.
+    fn count(&self) -> usize {
+        self.knots.as_ref().map_or(1, |knots| knots.count)
+    }
+
+    /// The weights that are trained.
+    fn trained(&self) -> &Buffer {
+        self.knots.as_ref().map_or(&self.weights, |knots| &knots.weights)
+    }
+
+    /// Puts packed weights onto the device, those of each knot one after the other.
     pub(crate) fn write_weights(&self, all: &[f32]) -> Result<()> {
-        self.device.write(&self.weights, 0, bytemuck::cast_slice(all))
+        self.device.write(self.trained(), 0, bytemuck::cast_slice(all))
     }
 
     /// Puts what the optimizer remembers of each tensor onto the device: first and second moments and the weights' running
@@ -95,7 +141,11 @@ impl Optimizer {
         let buffers = [Some(&self.first), Some(&self.second), self.average.as_ref()];
         for (number, buffer) in buffers.into_iter().enumerate() {
             if let Some(buffer) = buffer {
-                let all = self.packing.pack_ordered(moments.iter().map(|tensor| tensor[number]));
+                let of_knot = moments.chunks(self.packing.tensors).flat_map(|tensors| {
+                    self.packing.pack_ordered(tensors.iter().map(|tensor| tensor[number]))
+                });
+                let mut all: Vec<f32> = of_knot.collect();
+                all.resize(self.count() * self.packing.size, 0.0);
                 self.device.write(buffer, 0, bytemuck::cast_slice(&all))?;
             }
         }
@@ -108,11 +158,16 @@ impl Optimizer {
     /// # Errors
     /// As above.
     pub fn state(&self) -> Result<[Vec<Vec<f32>>; 4]> {
+        let count = self.count();
         let ordered = |buffer: Option<&Buffer>| match buffer {
-            Some(buffer) => Ok(self.packing.unpack_ordered(&self.numbers(buffer)?)),
-            None => Ok(vec![Vec::new(); self.packing.tensors]),
+            Some(buffer) => {
+                let all = self.numbers(buffer, count)?;
+                let of_knot = all.chunks(self.packing.size);
+                Ok(of_knot.flat_map(|all| self.packing.unpack_ordered(all)).collect())
+            }
+            None => Ok(vec![Vec::new(); count * self.packing.tensors]),
         };
-        let [weights, first, second] = [&self.weights, &self.first, &self.second];
+        let [weights, first, second] = [self.trained(), &self.first, &self.second];
         Ok([
             ordered(Some(weights))?,
             ordered(Some(first))?,
@@ -122,28 +177,33 @@ impl Optimizer {
     }
 
     pub(super) fn weights(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(&self.weights)
+        self.read(self.trained(), self.count())
     }
 
     pub(super) fn average(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(self.averaged_weights())
+        self.read(self.averaged_weights(), self.count())
     }
 
     pub(super) fn gradients(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(&self.gradients)
+        self.read(&self.gradients, 1)
     }
 
     /// The running average where it lies on the device; the weights themselves where none is kept.
     pub(crate) fn averaged_weights(&self) -> &Buffer {
-        self.average.as_ref().unwrap_or(&self.weights)
+        self.average.as_ref().unwrap_or_else(|| self.trained())
     }
 
-    fn read(&self, buffer: &Buffer) -> Result<BTreeMap<String, Weights>> {
-        Ok(self.packing.unpack(&self.numbers(buffer)?))
+    fn read(&self, buffer: &Buffer, count: usize) -> Result<BTreeMap<String, Weights>> {
+        let all = self.numbers(buffer, count)?;
+        let mut of_knot = all.chunks(self.packing.size).map(|all| self.packing.unpack(all));
+        Ok(match count {
+            1 => of_knot.next().unwrap_or_default(),
+            _ => tensors_of_knots(&of_knot.collect::<Vec<_>>()),
+        })
     }
 
-    fn numbers(&self, buffer: &Buffer) -> Result<Vec<f32>> {
-        let mut all = vec![0f32; self.packing.size];
+    fn numbers(&self, buffer: &Buffer, count: usize) -> Result<Vec<f32>> {
+        let mut all = vec![0f32; count * self.packing.size];
         self.device.read(buffer, 0, bytemuck::cast_slice_mut(&mut all))?;
         Ok(all)
     }
@@ -192,40 +252,100 @@ impl Optimizer {
         )
     }
 
-    /// Adam for these matrices, as in [`Self::measure`], once nothing needs the old weights any more.
-    pub(crate) fn change(&self, queue: Queue, matrices: &[Matrix], tables: &Tables) -> Result<()> {
-        let Some(first) = matrices.first() else { return Ok(()) };
-        let most = matrices.iter().map(Matrix::size).max().unwrap_or_default();
+    /// Sets the weights of a step from those of the knots, if there are several.
+    pub(crate) fn mix(&self, tables: &Tables) -> Result<()> {
+        let Some(knots) = &self.knots else { return Ok(()) };
+        let fours = self.packing.size / 4;
         self.launch(
-            queue,
-            Kernel::Adam,
-            Shape { grid: [(most / 4).div_ceil(256), 1, matrices.len()], ..Shape::new(1, 1, 256) },
+            Queue::Main,
+            Kernel::MixWeights,
+            Shape::new(fours.div_ceil(256), 1, 256),
             &[
-                self.place(first).into(),
+                knots.weights.address().into(),
                 self.weights.address().into(),
-                self.gradients.address().into(),
-                self.first.address().into(),
-                self.second.address().into(),
-                self.average.as_ref().map_or(Address::NULL, Buffer::address).into(),
-                self.scales.address().into(),
+                fours.into(),
+                knots.count.into(),
                 tables.schedule.address().into(),
                 tables.progress.address().into(),
-                self.epsilon.into(),
             ],
         )
+    }
+
+    /// What each knot's share of the gradient changes.
+    fn changed(&self) -> impl Iterator<Item = Changed> {
+        let Packing { size, tensors, .. } = self.packing;
+        (0..self.count()).map(move |knot| {
+            let of_knot = |buffer: &Buffer| buffer.address().plus(knot * size);
+            Changed {
+                weights: of_knot(self.trained()),
+                first: of_knot(&self.first),
+                second: of_knot(&self.second),
+                average: self.average.as_ref().map_or(Address::NULL, of_knot),
+                scales: match &self.knots {
+                    None => self.scales.address(),
+                    Some(knots) => knots.scales.address().plus(knot * tensors),
+                },
+            }
+        })
+    }
+
+    /// Adam for these matrices, as in [`Self::measure`], once nothing needs the old weights any more; all of them at once, if there are
+    /// several knots.
+    pub(crate) fn change(&self, queue: Queue, matrices: &[Matrix], tables: &Tables) -> Result<()> {
+        let Some(first) = matrices.first() else { return Ok(()) };
+        if let Some(knots) = &self.knots {
+            let tensors = self.packing.tensors;
+            self.launch(
+                queue,
+                Kernel::ShareScales,
+                Shape::new(tensors.div_ceil(256), knots.count, 256),
+                &[
+                    self.scales.address().into(),
+                    knots.scales.address().into(),
+                    tensors.into(),
+                    tables.schedule.address().into(),
+                    tables.progress.address().into(),
+                ],
+            )?;
+        }
+        let most = matrices.iter().map(Matrix::size).max().unwrap_or_default();
+        self.changed().try_for_each(|changed| {
+            self.launch(
+                queue,
+                Kernel::Adam,
+                Shape {
+                    grid: [(most / 4).div_ceil(256), 1, matrices.len()],
+                    ..Shape::new(1, 1, 256)
+                },
+                &[
+                    self.place(first).into(),
+                    changed.weights.into(),
+                    self.gradients.address().into(),
+                    changed.first.into(),
+                    changed.second.into(),
+                    changed.average.into(),
+                    changed.scales.into(),
+                    tables.schedule.address().into(),
+                    tables.progress.address().into(),
+                    self.epsilon.into(),
+                ],
+            )
+        })
     }
 
     /// Muon for the weights of all hidden layers, which Adam leaves as they are; nothing if it was not asked for.
     pub(crate) fn change_hidden(&self, tables: &Tables) -> Result<()> {
         let Some(muon) = &self.muon else { return Ok(()) };
-        let buffers = Buffers {
-            weights: self.weights.address(),
-            gradients: self.gradients.address(),
-            momentum: self.first.address(),
-            average: self.average.as_ref().map_or(Address::NULL, Buffer::address),
-            scales: self.scales.address(),
-        };
-        muon.change(&*self.device, &buffers, tables)
+        self.changed().try_for_each(|changed| {
+            let buffers = Buffers {
+                weights: changed.weights,
+                gradients: self.gradients.address(),
+                momentum: changed.first,
+                average: changed.average,
+                scales: changed.scales,
+            };
+            muon.change(&*self.device, &buffers, tables)
+        })
     }
 
     /// Where the place of a matrix is, before those of the following ones.

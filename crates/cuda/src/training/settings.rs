@@ -1,6 +1,7 @@
 //! What a training step is made of, and what comes of it.
 
 use super::Window;
+use eddy_inference::checkpoint::MOST_KNOTS;
 
 /// What a training step is made of.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +34,9 @@ pub struct Settings {
     pub average: bool,
     /// Whether Muon changes the weights of hidden layers instead of Adam. Of the particle model only.
     pub muon: bool,
+    /// Stiffnesses for which there are weights, between which those of a step are interpolated; 1 if there is one set of weights. Of
+    /// the particle model only.
+    pub knots: usize,
 }
 
 impl Settings {
@@ -53,6 +57,7 @@ impl Settings {
             epsilon: 1e-8,
             average: false,
             muon: false,
+            knots: 1,
         }
     }
 
@@ -75,6 +80,8 @@ pub struct Batch {
     pub correction: f32,
     /// Share of the running average that stays.
     pub kept: f32,
+    /// What the weights of each stiffness count for, where there are several.
+    pub shares: [f32; MOST_KNOTS],
     /// Seed of ChaCha8 for dropout masks.
     pub dropout: [u8; 32],
     /// Weights of squared errors of x, y, vx, vy, `[K, B, MATERIALS]`, where they differ from batch to batch.

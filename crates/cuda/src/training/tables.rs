@@ -10,6 +10,10 @@ use crate::{
     error::Result,
     kernels::{AXES, MATERIALS},
 };
+use eddy_inference::checkpoint::MOST_KNOTS;
+
+/// Words of a `Schedule`.
+const SCHEDULE: usize = 12 + MOST_KNOTS;
 
 /// Windows, rates and weights of the steps that the host has prepared, and what came of them.
 pub struct Tables {
@@ -52,7 +56,7 @@ impl Tables {
             weights_differ,
             batch,
             windows: numbers(GROUP * batch * WORDS)?,
-            schedule: numbers(GROUP * 12)?,
+            schedule: numbers(GROUP * SCHEDULE)?,
             progress: numbers(1)?,
             outcomes: numbers(GROUP * 4)?,
             error_weights: numbers(steps * weights * 2 * AXES)?,
@@ -94,6 +98,7 @@ impl Tables {
             let Batch { rate, correction, kept, plain_rate, .. } = *batch;
             schedule.extend([rate, correction, kept, plain_rate].map(f32::to_bits));
             schedule.extend(key(batch.dropout));
+            schedule.extend(batch.shares.map(f32::to_bits));
             weights.extend(batch.weights.iter().flatten().copied());
         }
         self.device.write(&self.windows, 0, bytemuck::cast_slice(&windows))?;

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, Rules,
+    CheckpointError, MOST_KNOTS, Rules,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules,
 };
@@ -82,6 +82,11 @@ pub struct Description {
     /// last: another input of `encoder.0`, and of `context` before those from the grid.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stiffness: bool,
+    /// Particle model that is conditioned on the stiffness: ascending stiffnesses (density x velocity^2) for each of which the file
+    /// has weights, along the first axis of every tensor. Those of a stream are interpolated linearly in the logarithm of its
+    /// stiffness; beyond the ends, they are those of the nearest. Empty if there is one set of weights.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stiffness_knots: Vec<f32>,
     /// Number type of the weights in `model.safetensors`.
     #[serde(default, skip_serializing_if = "WeightFormat::is_default")]
     pub weights: WeightFormat,
@@ -133,6 +138,7 @@ impl Description {
             form: Form::default(),
             normalize_gates: true,
             stiffness: false,
+            stiffness_knots: Vec::new(),
             weights: WeightFormat::default(),
             dt: 0.016,
             warm_up: 2,
@@ -244,6 +250,16 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             require(grid.is_some(), "surroundings", &"nothing", expected)?;
         }
     }
+    let knots = &description.stiffness_knots;
+    let rising = knots.is_sorted_by(|lower, upper| lower < upper);
+    let valid = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0) && rising;
+    let valid = match knots.len() {
+        0 => true,
+        2..=MOST_KNOTS => valid && description.stiffness,
+        _ => false,
+    };
+    let expected = "nothing, or 2 to 4 positive numbers, each larger than the one before, with stiffness = true";
+    require(valid, "stiffness_knots", &format!("{knots:?}"), expected)?;
     if let Some(GridOptions { cell_width, channels, spacing }) = grid {
         positive("surroundings.cell_width", *cell_width)?;
         positive("surroundings.spacing", *spacing)?;

@@ -144,12 +144,16 @@ pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
     layers
 }
 
-/// Name and shape of every tensor of the network.
+/// Name and shape of every tensor of the network, with the stiffnesses first if it has weights for several.
 pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> {
+    let knots = description.stiffness_knots.len();
+    let shape = |axes: &[usize]| {
+        (knots > 0).then_some(knots).into_iter().chain(axes.iter().copied()).collect()
+    };
     linear_layers(description)
         .into_iter()
         .flat_map(|LinearLayer { weight, bias, input, output, sharing }| {
-            [(weight, vec![output, input]), (bias, vec![output / sharing])]
+            [(weight, shape(&[output, input])), (bias, shape(&[output / sharing]))]
         })
         .collect()
 }

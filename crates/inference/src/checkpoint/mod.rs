@@ -8,7 +8,7 @@
 //!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
-//! `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
+//! `knots` interpolates weights for several stiffnesses. `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
 //! calls leaves a complete checkpoint, the old one or the new one.
 
 mod description;
@@ -16,6 +16,7 @@ mod error;
 mod files;
 pub mod grid;
 mod initial;
+mod knots;
 pub mod layout;
 mod network;
 mod rules;
@@ -26,6 +27,7 @@ pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};
 pub use initial::initial_weights;
+pub use knots::{MOST_KNOTS, knot_shares, tensors_of_knot, tensors_of_knots};
 pub use layout::tensor_shapes;
 pub use network::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,

@@ -1,8 +1,8 @@
 //! What a network remembers of a stream.
 
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
-use super::{DeviceState, order::spatial_order};
+use super::{DeviceState, order::spatial_order, stepper::Network};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
     kernels::rest_shape::RestShape,
@@ -32,6 +32,8 @@ pub struct HiddenState {
     pub(super) rest: Arc<RestShape>,
     /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
+    /// The network with the weights for that stiffness, if those of the surrogate depend on it.
+    pub(super) network: Option<OfStiffness>,
     /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
     /// [`stride`] long. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
@@ -44,6 +46,16 @@ pub struct HiddenState {
     pub(super) begun: bool,
     /// The state on the device that predicts; then `hidden` and `cell` are empty.
     pub(super) device: Option<Box<dyn DeviceState>>,
+}
+
+/// A network for streams of one stiffness.
+#[derive(Clone)]
+pub(super) struct OfStiffness(pub(super) Arc<Network>);
+
+impl fmt::Debug for OfStiffness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("OfStiffness")
+    }
 }
 
 impl HiddenState {
@@ -70,6 +82,7 @@ impl HiddenState {
             material,
             rest: Arc::new(rest),
             stiffness,
+            network: None,
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],
             expected_velocity: vec![[0.0; 2]; expected_velocity],
@@ -85,6 +98,7 @@ impl HiddenState {
             material,
             rest: Arc::default(),
             stiffness: None,
+            network: None,
             hidden: Vec::new(),
             cell: Vec::new(),
             expected_velocity: Vec::new(),
@@ -117,6 +131,7 @@ impl Clone for HiddenState {
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
             stiffness: self.stiffness,
+            network: self.network.clone(),
             hidden: self.hidden.clone(),
             cell: self.cell.clone(),
             expected_velocity: self.expected_velocity.clone(),
@@ -131,6 +146,7 @@ impl Clone for HiddenState {
             material,
             rest,
             stiffness,
+            network,
             hidden,
             cell,
             expected_velocity,
@@ -141,6 +157,7 @@ impl Clone for HiddenState {
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
         *stiffness = other.stiffness;
+        network.clone_from(&other.network);
         hidden.clone_from(&other.hidden);
         cell.clone_from(&other.cell);
         expected_velocity.clone_from(&other.expected_velocity);
@@ -159,6 +176,8 @@ impl PartialEq for HiddenState {
             material,
             rest,
             stiffness,
+            // That of the stiffness.
+            network: _,
             hidden,
             cell,
             expected_velocity,

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use super::{
     Accelerator, DeviceStep, HiddenState, ModelError,
     frame_model::{self, FrameModel},
+    hidden_state::OfStiffness,
     particle_model::{self, ParticleModel},
 };
 use eddy_frames::{Frame, FrameView, Material, Particles, Stamp};
@@ -43,6 +44,11 @@ impl Network {
             Self::Device(_) => Scratch::None,
         }
     }
+}
+
+/// The network of a stream: that of its stiffness, or the one of all streams.
+fn network_of(hidden: &HiddenState, of_all: &Arc<Network>) -> Arc<Network> {
+    Arc::clone(hidden.network.as_ref().map_or(of_all, |OfStiffness(network)| network))
 }
 
 /// Buffers for one frame.
@@ -143,7 +149,8 @@ impl Stepper {
         }
         let StepRequest { hidden, frame, next } = request;
         let particles = self.prepare(hidden, &frame, next);
-        match (&*self.network, &mut self.scratch) {
+        let network = network_of(hidden, &self.network);
+        match (&*network, &mut self.scratch) {
             (Network::Frame(model), Scratch::Frame(scratch)) => {
                 let alone = model.work() < WORTH_WAKING;
                 model.step(&mut self.pool, alone, scratch, hidden, frame, next);
@@ -170,19 +177,27 @@ impl Stepper {
     }
 
     fn step_on_device(&mut self, requests: &mut [StepRequest<'_>]) {
-        let mut steps = Vec::with_capacity(requests.len());
+        // Streams of one stiffness have a network, most often all of them.
+        let mut of_network: Vec<(Arc<Network>, Vec<DeviceStep<'_>>)> = Vec::new();
         for StepRequest { hidden, frame, next } in &mut *requests {
             self.prepare(hidden, frame, next);
+            let network = network_of(hidden, &self.network);
             let state =
                 hidden.device.as_deref_mut().expect("a state of this network is on its device");
-            steps.push(DeviceStep { state, frame: *frame, next });
+            let step = DeviceStep { state, frame: *frame, next };
+            match of_network.iter_mut().find(|(other, _)| Arc::ptr_eq(other, &network)) {
+                Some((_, steps)) => steps.push(step),
+                None => of_network.push((network, vec![step])),
+            }
         }
-        let Network::Device(device) = &*self.network else { return };
-        if let Err(reason) = device.step(&mut steps) {
-            self.failure.get_or_insert_with(|| reason.to_string());
-            for DeviceStep { next, .. } in steps {
-                next.position.fill([f32::NAN; 2]);
-                next.velocity.fill([f32::NAN; 2]);
+        for (network, mut steps) in of_network {
+            let Network::Device(device) = &*network else { continue };
+            if let Err(reason) = device.step(&mut steps) {
+                self.failure.get_or_insert_with(|| reason.to_string());
+                for DeviceStep { next, .. } in steps {
+                    next.position.fill([f32::NAN; 2]);
+                    next.velocity.fill([f32::NAN; 2]);
+                }
             }
         }
     }

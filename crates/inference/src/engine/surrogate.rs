@@ -1,12 +1,18 @@
 //! A checkpoint's network, ready to predict.
 
-use std::{num::NonZeroUsize, sync::Arc, thread};
+use std::{
+    collections::BTreeMap,
+    num::NonZeroUsize,
+    sync::{Arc, Mutex, PoisonError, Weak},
+    thread,
+};
 
 use pulp::Arch;
 
 use super::{
     Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
-    particle_model::ParticleModel, scales::stiffness_feature, stepper::Network, warning,
+    hidden_state::OfStiffness, particle_model::ParticleModel, scales::stiffness_feature,
+    stepper::Network, warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
@@ -47,7 +53,34 @@ pub struct Surrogate {
     digest: String,
     error_model: Option<Arc<ErrorModel>>,
     network: Arc<Network>,
+    /// Weights for several stiffnesses, of which those of a stream are made.
+    by_stiffness: Option<Arc<ByStiffness>>,
     threads: usize,
+}
+
+/// A checkpoint with weights for several stiffnesses, and the networks that streams have of it.
+struct ByStiffness {
+    checkpoint: Checkpoint,
+    pack: Box<Pack>,
+    /// By the bits of the stiffness.
+    networks: Mutex<BTreeMap<u32, Weak<Network>>>,
+}
+
+/// Makes the network of a checkpoint with one set of weights.
+type Pack = dyn Fn(&Checkpoint) -> Result<Network, ModelError> + Send + Sync;
+
+impl ByStiffness {
+    /// The network for streams of a stiffness, packed unless another stream has it.
+    fn network(&self, stiffness: f32) -> Result<OfStiffness, ModelError> {
+        let mut networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(network) = networks.get(&stiffness.to_bits()).and_then(Weak::upgrade) {
+            return Ok(OfStiffness(network));
+        }
+        networks.retain(|_, network| network.strong_count() > 0);
+        let network = Arc::new((self.pack)(&self.checkpoint.at_stiffness(stiffness))?);
+        networks.insert(stiffness.to_bits(), Arc::downgrade(&network));
+        Ok(OfStiffness(network))
+    }
 }
 
 impl Surrogate {
@@ -72,32 +105,60 @@ impl Surrogate {
         threads: Option<NonZeroUsize>,
         arch: Arch,
     ) -> Result<Self, ModelError> {
-        checkpoint.check("checkpoint".as_ref())?;
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MAX_THREADS);
-        let Checkpoint { description, tensors, .. } = checkpoint;
-        let network = match description.architecture {
-            Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
-            Architecture::Particle => {
-                Network::Particle(ParticleModel::pack(arch, description, tensors))
-            }
+        let pack = move |Checkpoint { description, tensors, .. }: &Checkpoint| {
+            Ok(match description.architecture {
+                Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
+                Architecture::Particle => {
+                    Network::Particle(ParticleModel::pack(arch, description, tensors))
+                }
+            })
         };
-        Ok(Self::new(checkpoint, network, threads))
+        Self::new(checkpoint, Box::new(pack), threads)
     }
 
     /// The checkpoint's network on a device that has its weights.
     ///
     /// # Errors
-    /// [`ModelError::Checkpoint`] if the weights do not match the description.
+    /// [`ModelError::Checkpoint`] if the weights do not match the description; [`ModelError::Device`] if there are several sets of them
+    /// ([`Surrogate::on_devices`]).
     pub fn on_device(
         checkpoint: &Checkpoint,
         device: Arc<dyn Accelerator>,
     ) -> Result<Self, ModelError> {
-        checkpoint.check("checkpoint".as_ref())?;
-        Ok(Self::new(checkpoint, Network::Device(device), 1))
+        if !checkpoint.description.stiffness_knots.is_empty() {
+            let reason =
+                "the device has one set of weights, the checkpoint some for several stiffnesses";
+            return Err(ModelError::Device(reason.to_owned()));
+        }
+        Self::on_devices(checkpoint, move |_| Ok(Arc::clone(&device)))
     }
 
-    fn new(checkpoint: &Checkpoint, network: Network, threads: usize) -> Self {
+    /// The checkpoint's network on a device, which `open` gives the weights of a checkpoint: once, or, if it has weights for several
+    /// stiffnesses, for each stiffness of a stream.
+    ///
+    /// # Errors
+    /// [`ModelError::Checkpoint`] if the weights do not match the description; those of `open`.
+    pub fn on_devices(
+        checkpoint: &Checkpoint,
+        open: impl Fn(&Checkpoint) -> Result<Arc<dyn Accelerator>, ModelError> + Send + Sync + 'static,
+    ) -> Result<Self, ModelError> {
+        Self::new(checkpoint, Box::new(move |checkpoint| open(checkpoint).map(Network::Device)), 1)
+    }
+
+    fn new(checkpoint: &Checkpoint, pack: Box<Pack>, threads: usize) -> Result<Self, ModelError> {
+        checkpoint.check("checkpoint".as_ref())?;
+        let knots = &checkpoint.description.stiffness_knots;
+        let (network, by_stiffness) = match knots.first() {
+            None => (pack(checkpoint)?, None),
+            Some(&first) => {
+                // Streams have networks of their own; this one says how large they are.
+                let sample = pack(&checkpoint.at_stiffness(first))?;
+                let (checkpoint, networks) = (checkpoint.clone(), Mutex::default());
+                (sample, Some(Arc::new(ByStiffness { checkpoint, pack, networks })))
+            }
+        };
         let digest = checkpoint.digest();
         let error_model = checkpoint.error_model.clone().filter(|model| {
             let is_its_own = model.checkpoint == digest;
@@ -110,13 +171,14 @@ impl Surrogate {
             }
             is_its_own
         });
-        Self {
+        Ok(Self {
             description: checkpoint.description.clone(),
             digest,
             error_model: error_model.map(Arc::new),
             network: Arc::new(network),
+            by_stiffness,
             threads,
-        }
+        })
     }
 
     /// A stepper of this network, with threads of its own.
@@ -227,8 +289,11 @@ impl Surrogate {
     ) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
         self.check_stiffness(stiffness)?;
+        let own = self.by_stiffness.as_ref().zip(stiffness);
+        let own = own.map(|(weights, stiffness)| weights.network(stiffness)).transpose()?;
+        let network = own.as_ref().map_or(&self.network, |OfStiffness(network)| network);
         let stiffness = stiffness.map(stiffness_feature);
-        match &*self.network {
+        let hidden = match &**network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
                 let grid = self.description.grid.as_ref();
@@ -242,10 +307,11 @@ impl Surrogate {
                     rest: &rest,
                     stiffness,
                 })?;
-                Ok(HiddenState::on_device(material, state))
+                HiddenState::on_device(material, state)
             }
-            _ => Ok(HiddenState::new(&self.description, frame, stiffness)),
-        }
+            _ => HiddenState::new(&self.description, frame, stiffness),
+        };
+        Ok(HiddenState { network: own, ..hidden })
     }
 }
 

@@ -7,7 +7,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Corrector, HiddenState, ModelError, Surrogate,
+    Corrector, HiddenState, ModelError, StepRequest, Surrogate,
     scales::{stiffness_feature, velocity_unit},
 };
 use crate::{
@@ -177,6 +177,44 @@ fn a_network_conditioned_on_the_stiffness_predicts_by_it_up_to_the_limits_of_its
     assert_ne!(predict(100.0), predict(60.0));
     assert_eq!(predict(50.0), predict(1e-3));
     assert_eq!(predict(2e6), predict(1e9));
+}
+
+#[test]
+fn streams_have_the_weights_of_their_stiffness() {
+    let mut description = particle_model(Core::MinGru).description;
+    description.stiffness = true;
+    let parts = [5, 6].map(|seed| checkpoint(description.clone(), seed));
+    description.stiffness_knots = vec![1e3, 1e5];
+    let tensors = tensors_of_knots(&parts.clone().map(|part| part.tensors));
+    let combined = Checkpoint::new(description, tensors);
+    let surrogate = Surrogate::load(&combined, threads(2)).unwrap();
+    assert_eq!(surrogate.digest(), combined.digest());
+    let frames = frames(3, 200, 4);
+    let stiffnesses = [1e3, 1e5, 2e4, 1e3];
+    let run = |surrogate: &Surrogate, stiffnesses: &[f32]| {
+        let start =
+            |&stiffness| surrogate.start_with_stiffness(&frames[0], Some(stiffness)).unwrap();
+        let mut states: Vec<_> = stiffnesses.iter().map(start).collect();
+        let mut stepper = surrogate.stepper();
+        let mut predicted = vec![frames[0].clone(); states.len()];
+        for frame in &frames {
+            let pairs = states.iter_mut().zip(&mut predicted);
+            let mut steps: Vec<_> = pairs
+                .map(|(hidden, next)| StepRequest { hidden, frame: frame.into(), next })
+                .collect();
+            stepper.step_all(&mut steps);
+        }
+        predicted
+    };
+    let together = run(&surrogate, &stiffnesses);
+    for (stiffness, found) in stiffnesses.into_iter().zip(&together) {
+        let alone = Surrogate::load(&combined.at_stiffness(stiffness), threads(1)).unwrap();
+        assert_eq!(run(&alone, &[stiffness]), [found.clone()], "{stiffness}");
+    }
+    assert_eq!(together[0], together[3]);
+    assert_ne!(together[0], together[1]);
+    let first = Surrogate::load(&parts[0], threads(1)).unwrap();
+    assert_eq!(run(&first, &[1e3])[0], together[0], "at a knot, the weights of its checkpoint");
 }
 
 #[test]

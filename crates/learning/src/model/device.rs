@@ -345,23 +345,24 @@ pub fn load_on_gpu(
     threads: Option<NonZeroUsize>,
     number: usize,
 ) -> Result<Surrogate, ModelError> {
-    let Checkpoint { description, tensors, .. } = checkpoint;
-    let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
-        Ok(match description.architecture {
-            Architecture::Frame => {
-                let gpu = open_gpu(number, &kernels::Constants::of(description)?)?;
-                let inference = frame::Inference::new(gpu, description, tensors)?;
-                Arc::new(frame::Streams::new(inference.with_threads(threads)))
-            }
-            Architecture::Particle => {
-                let gpu = open_gpu(number, &particle::Constants::of(description)?)?;
-                let inference = particle::Inference::new(gpu, description, tensors)?;
-                Arc::new(particle::Streams::new(inference.with_threads(threads)))
-            }
-        })
+    let open = move |Checkpoint { description, tensors, .. }: &Checkpoint| {
+        let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
+            Ok(match description.architecture {
+                Architecture::Frame => {
+                    let gpu = open_gpu(number, &kernels::Constants::of(description)?)?;
+                    let inference = frame::Inference::new(gpu, description, tensors)?;
+                    Arc::new(frame::Streams::new(inference.with_threads(threads)))
+                }
+                Architecture::Particle => {
+                    let gpu = open_gpu(number, &particle::Constants::of(description)?)?;
+                    let inference = particle::Inference::new(gpu, description, tensors)?;
+                    Arc::new(particle::Streams::new(inference.with_threads(threads)))
+                }
+            })
+        };
+        streams().map_err(|reason| ModelError::Device(reason.to_string()))
     };
-    let streams = streams().map_err(|reason| ModelError::Device(reason.to_string()))?;
-    Surrogate::on_device(checkpoint, streams)
+    Surrogate::on_devices(checkpoint, open)
 }
 
 /// The device is not available.

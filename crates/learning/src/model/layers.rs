@@ -98,6 +98,11 @@ impl Layers {
             .collect()
     }
 
+    /// Number of tensors.
+    pub(crate) fn count(&self) -> usize {
+        2 * self.linears().len()
+    }
+
     /// All linear layers, in the order of [`layout::linear_layers`].
     pub(crate) fn linears(&self) -> Vec<&Linear> {
         let grid = self

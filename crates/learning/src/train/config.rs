@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::TrainError;
 use eddy_inference::checkpoint::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
-    MaterialInput, Pooling, Sizes, WeightFormat,
+    MOST_KNOTS, MaterialInput, Pooling, Sizes, WeightFormat,
 };
 
 /// Width of layers up to which Muon runs on every supported GPU.
@@ -84,6 +84,10 @@ pub struct NetworkConfig {
     /// Particle model: whether the network is conditioned on the stiffness of each stream, which manifest.json beside its bag must have.
     #[serde(default)]
     pub stiffness: bool,
+    /// Particle model that is conditioned on the stiffness: two to four ascending stiffnesses (density x velocity^2) that have weights of
+    /// their own; a stream's are interpolated in the logarithm of its stiffness. Each batch is of about one stiffness then.
+    #[serde(default)]
+    pub stiffness_knots: Vec<f32>,
     /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
     #[serde(default)]
     pub weights: WeightFormat,
@@ -329,6 +333,17 @@ impl TrainConfig {
         let (frame, default) = (self.network.frame, FrameOptions::default());
         let valid = self.architecture == Architecture::Frame || frame == default;
         require("network.frame", format!("{frame:?}"), valid, "nothing for the particle model")?;
+        let knots = &self.network.stiffness_knots;
+        let valid = match knots.len() {
+            0 => true,
+            2..=MOST_KNOTS => {
+                let positive = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0);
+                positive && knots.is_sorted_by(|a, b| a < b) && self.network.stiffness
+            }
+            _ => false,
+        };
+        let expected = "nothing, or 2 to 4 positive numbers, each larger than the one before, with network.stiffness = true";
+        require("network.stiffness_knots", format!("{knots:?}"), valid, expected)?;
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);

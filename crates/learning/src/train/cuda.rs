@@ -11,9 +11,11 @@ use std::sync::{Arc, Weak};
 use super::{
     TrainConfig, TrainError,
     gradients::GradientTask,
+    knots,
     optimizer::{Correction, Moments},
     state::RunState,
     steps::Step,
+    validate,
     window::{Draw, Sampler},
 };
 use crate::{
@@ -197,6 +199,8 @@ impl Learner {
         let mut drawn = Vec::new();
         for &rate in rates {
             let draws = sampler.choose_many(config.windows.batch, &mut state.order);
+            let stiffnesses = draws.iter().map(|draw| sampler.stiffness(draw));
+            let shares = knots::shares(&config.network.stiffness_knots, stiffnesses);
             let masks = state.dropout.fork();
             state.optimizer.steps += 1;
             let correction = Correction::new(state.optimizer.steps, rate, &config.optimizer);
@@ -206,7 +210,7 @@ impl Learner {
                 let own = weights_differ(config)
                     .then(|| weights(scale, sampler, draws, state.unroll))
                     .transpose()?;
-                batches.push(batch(draws, &correction, masks.random(), own));
+                batches.push(batch(draws, &correction, shares, masks.random(), own));
             }
             drawn.push(draws);
         }
@@ -240,6 +244,10 @@ impl Learner {
     /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
     pub(super) fn surrogate(&mut self, checkpoint: &Checkpoint) -> Result<Surrogate, TrainError> {
         let Some(first) = self.replicas.first() else { unreachable!("a learner has a device") };
+        if !checkpoint.description.stiffness_knots.is_empty() {
+            // A device has the weights of one stiffness.
+            return validate::one_thread(checkpoint);
+        }
         let validation = match &self.validation {
             Some(validation) => validation,
             None => self.validation.insert(Validation::new(&first.device, checkpoint)?),
@@ -252,10 +260,7 @@ impl Learner {
         let training = self.replicas.first().and_then(|replica| replica.training.as_ref());
         let Some(training) = training else { return Ok(()) };
         let [weights, first, second, average] = training.optimizer().state()?;
-        state
-            .network
-            .layers_mut()
-            .exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
+        state.set_weights(weights);
         let moments = first.into_iter().zip(second).zip(average);
         state.optimizer.moments =
             moments.map(|((first, second), average)| Moments { first, second, average }).collect();
@@ -278,8 +283,14 @@ impl Replica {
         let particles = description.sizes.particles.unwrap_or_default();
         let weights = common_weights(scale, state.unroll, particles);
         let training = self.stores.training(&self.device, description, &settings, weights)?;
-        training.set_weights(&state.network.layers().tensors(description))?;
-        let moments = state.optimizer.moments.iter().map(|Moments { first, second, average }| {
+        training.set_weights(&state.weights(description))?;
+        let weights = state.in_order();
+        let none = Moments::default();
+        let moments = weights.iter().enumerate().map(|(tensor, weights)| {
+            let Moments { first, second, average } =
+                state.optimizer.moments.get(tensor).unwrap_or(&none);
+            // The average begins at the weights.
+            let average = if average.is_empty() { weights } else { average };
             [first.as_slice(), second.as_slice(), average.as_slice()]
         });
         training.optimizer().set_moments(moments)?;

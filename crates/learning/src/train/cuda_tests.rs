@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     LossKind, NoiseConfig, OptimizerKind, TrainConfig, UnrollStage, cuda,
     gradients::GradientTask,
+    knots::ONE_SET,
     loss_weights::{LossScale, TrivialSums},
     state::RunState,
     steps::Learner,
@@ -182,7 +183,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
             super::optimizer::Correction::new(state.optimizer.steps + 1, 1e-2, &config.optimizer);
         let own = (config.loss.kind == LossKind::Relative)
             .then(|| cuda::weights(&scale, &sampler, &draws, unroll).unwrap());
-        let batch = cuda::batch(&draws, &correction, masks.random(), own);
+        let batch = cuda::batch(&draws, &correction, ONE_SET, masks.random(), own);
         training.start(&[batch]).unwrap();
         let outcome = training.outcomes(1).unwrap()[0];
 

@@ -40,6 +40,7 @@ pub(super) fn describe(
         form: config.network.form,
         normalize_gates: config.network.normalize_gates,
         stiffness: config.network.stiffness,
+        stiffness_knots: config.network.stiffness_knots.clone(),
         // Training continues from f32; what is validated and published is rounded.
         weights: WeightFormat::F32,
         dt: first.dt,

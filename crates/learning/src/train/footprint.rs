@@ -65,8 +65,8 @@ fn batch_numbers(
     let (encoder, hidden) = (sizes.encoder, sizes.hidden);
     let gates: usize = tensor_shapes(description)
         .iter()
-        .filter(|(name, shape)| name.starts_with("core.") && shape.len() == 1)
-        .map(|(_, shape)| shape[0])
+        .filter(|(name, _)| name.starts_with("core.") && name.contains("bias"))
+        .filter_map(|(_, shape)| shape.last())
         .sum();
     let unroll = config.unroll.iter().map(|stage| stage.frames).max().unwrap_or(1);
     let frames = config.windows.warm_up + unroll;

@@ -319,7 +319,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
             .collect();
         let batch = |step: u32| {
             let correction = Correction::new(step, LEARNING_RATE, &config.optimizer);
-            cuda::batch(&draws, &correction, None, None)
+            cuda::batch(&draws, &correction, crate::train::knots::ONE_SET, None, None)
         };
         let kind = DeviceKind::Cuda(0);
 

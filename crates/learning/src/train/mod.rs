@@ -6,7 +6,7 @@
 //! 4. `batch`: windows as tensors.
 //! 5. `loss`, `density`: the network observes the warm-up and predicts the rest from its own output; the loss of that.
 //! 6. `gradients`: the loss of a batch and its gradients, windows in parallel.
-//! 7. `optimizer`: Adam and the average of the weights, with `muon`: Muon. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
+//! 7. `optimizer`: Adam and the average of the weights, with `muon`: Muon; `knots`: weights for several stiffnesses. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
 //! 8. `schedule`: learning rate and length of unroll over the run.
 //! 9. `validate`: free rollouts over streams that are not trained on.
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
@@ -37,6 +37,7 @@ mod footprint;
 #[cfg(test)]
 mod golden;
 mod gradients;
+mod knots;
 mod loss;
 mod loss_weights;
 mod moments;
@@ -249,5 +250,7 @@ fn sampler<'a>(
     dataset: &'a Dataset,
     unroll: usize,
 ) -> Result<Sampler<'a>, TrainError> {
-    Sampler::new(&dataset.train, &config.windows, unroll)
+    let sampler = Sampler::new(&dataset.train, &config.windows, unroll)?;
+    let knots = &config.network.stiffness_knots;
+    Ok(if knots.is_empty() { sampler } else { sampler.by_stiffness() })
 }

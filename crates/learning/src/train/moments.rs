@@ -23,11 +23,17 @@ pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
     format!("{:032x}", hash.digest128())
 }
 
-/// Names and sizes of the network's tensors, in the order of the optimizer.
+/// Names and sizes of the network's tensors, in the order of the optimizer; with a number behind it where there are several knots.
 fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
-    layout::linear_layers(description).into_iter().flat_map(|layer| {
+    let layers = layout::linear_layers(description).into_iter().flat_map(|layer| {
         let biases = layer.output / layer.sharing;
         [(layer.weight, layer.input * layer.output), (layer.bias, biases)]
+    });
+    let tensors: Vec<_> = layers.collect();
+    let knots = description.stiffness_knots.len();
+    (0..knots.max(1)).flat_map(move |knot| {
+        let end = if knots == 0 { String::new() } else { format!(".{knot}") };
+        tensors.clone().into_iter().map(move |(name, size)| (name + &end, size))
     })
 }
 

@@ -61,12 +61,8 @@ impl Correction {
             rate: (rate / (1.0 - f64::from(BETA_1).powi(power))) as f32,
             root: (1.0 - f64::from(BETA_2).powi(power)).sqrt() as f32,
             plain_rate: rate as f32,
-            // The average begins at the weights after the first step, and is over few steps at first, so that early weights are
-            // forgotten quickly.
-            kept: match power {
-                1 => 0.0,
-                _ => config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
-            },
+            // A shorter average in the first steps, to forget the initial weights, at which it begins.
+            kept: config.average.min((1.0 + power as f32) / (10.0 + power as f32)),
         }
     }
 }
@@ -94,7 +90,9 @@ impl Optimizer {
             let hidden = muon && layout::is_hidden(&layer.weight);
             [hidden.then_some([layer.input, layer.output]), None]
         });
-        Self { matrices: tensors.collect(), ..Self::default() }
+        let matrices = tensors.collect::<Vec<_>>();
+        let knots = config.network.stiffness_knots.len().max(1);
+        Self { matrices: matrices.repeat(knots), ..Self::default() }
     }
 
     /// The moments of the tensors that Adam changes.
@@ -126,17 +124,31 @@ impl Optimizer {
 impl OptimizerStep<'_> {
     /// Updates a tensor. A gradient whose norm exceeds the limit is clipped.
     pub(super) fn change(&mut self, tensor: usize, values: &mut [f32], gradient: &[f32]) {
+        self.change_by_share(tensor, values, gradient, 1.0);
+    }
+
+    /// As [`Self::change`], by a share of the gradient, after it is clipped.
+    pub(super) fn change_by_share(
+        &mut self,
+        tensor: usize,
+        values: &mut [f32],
+        gradient: &[f32],
+        share: f32,
+    ) {
         let matrix = self.optimizer.matrix(tensor);
         let moments = &mut self.optimizer.moments;
         if moments.len() <= tensor {
             moments.resize_with(tensor + 1, Moments::default);
         }
         let Moments { first, second, average } = &mut moments[tensor];
+        if self.averaged && average.is_empty() {
+            average.extend_from_slice(values);
+        }
         first.resize(values.len(), 0.0);
         second.resize(values.len(), 0.0);
         let norm = if self.measured || self.clip.is_finite() { norm(gradient) } else { 0.0 };
-        self.squares += f64::from(norm) * f64::from(norm);
-        let scale = if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
+        self.squares += f64::from(share) * f64::from(norm) * f64::from(norm);
+        let scale = share * if self.clip.is_finite() { (self.clip / norm).min(1.0) } else { 1.0 };
         let Correction { rate, root, plain_rate, kept } = self.correction;
         if let Some(shape) = matrix {
             muon::change(shape, values, gradient, first, scale, plain_rate);
@@ -151,7 +163,6 @@ impl OptimizerStep<'_> {
                 });
         }
         if self.averaged {
-            average.resize(values.len(), 0.0);
             for (mean, value) in average.iter_mut().zip(values) {
                 *mean = *value + kept * (*mean - *value);
             }

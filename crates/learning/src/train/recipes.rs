@@ -225,6 +225,11 @@ impl NetworkConfig {
             cell_width: grid.map_or(self.cell_width, |grid| grid.cell_width),
             channels: grid.map_or_else(|| self.channels.clone(), |grid| grid.channels.clone()),
             stiffness: network.stiffness,
+            // One set of weights can be the start of several.
+            stiffness_knots: match network.stiffness_knots.as_slice() {
+                [] => self.stiffness_knots.clone(),
+                knots => knots.to_vec(),
+            },
             weights: self.weights,
         }
     }
@@ -242,6 +247,7 @@ impl NetworkConfig {
             cell_width: 1.0 / 32.0,
             channels: vec![24, 32, 48, 64],
             stiffness: false,
+            stiffness_knots: Vec::new(),
             weights: WeightFormat::default(),
         }
     }

@@ -25,9 +25,9 @@ use super::{
     moments::{checksum, moments_by_name, moments_in_order},
     optimizer::Optimizer,
     record::{self, GeneratorState, RECORD_VERSION, Record, damaged, same_run},
-    state::RunState,
+    state::{self, RunState},
 };
-use crate::model::{dropout::Dropout, layers::Layers, network::Network};
+use crate::model::{dropout::Dropout, network::Network};
 use eddy_inference::checkpoint::{
     self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE, WeightFormat,
 };
@@ -126,7 +126,7 @@ pub(super) fn save(
 ) -> Result<(), TrainError> {
     let mut moments = moments_by_name(&state.optimizer, &last.description);
     if config.optimizer.average > 0.0 {
-        let weights = state.network.layers().tensors(&last.description).into_iter();
+        let weights = state.weights(&last.description).into_iter();
         moments.extend(weights.map(|(name, weights)| (format!("{WEIGHT}{name}"), weights)));
     }
     let record = Record {
@@ -221,7 +221,8 @@ fn load(
     let record = record::read(&file)?;
     same_run(&file, config, description, run, &record)?;
     let last = Checkpoint::load(&folder)?;
-    let (network, optimizer) = tensors(&folder, config, description, run, &record, &last)?;
+    let ((network, of_knots), optimizer) =
+        tensors(&folder, config, description, run, &record, &last)?;
     let best = best(run.output, &record, &last)?;
     let random = |field: &str, generator: &GeneratorState| {
         generator.generator().ok_or_else(|| {
@@ -240,6 +241,7 @@ fn load(
     }
     Ok(RunState {
         network,
+        of_knots,
         optimizer,
         order: random("order", &record.order)?,
         dropout,
@@ -261,7 +263,7 @@ fn tensors(
     run: &Run,
     record: &Record,
     last: &Checkpoint,
-) -> Result<(Network, Optimizer), TrainError> {
+) -> Result<((Network, Vec<Vec<f32>>), Optimizer), TrainError> {
     let file = folder.join(MOMENTS_FILE);
     let bytes =
         fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;
@@ -285,14 +287,15 @@ fn tensors(
     let moments = moments_in_order(&file, named, description)?;
     let mut optimizer = Optimizer::new(config, description);
     (optimizer.steps, optimizer.moments) = (record.steps, moments);
-    let device = run.device.device().autodiff();
     if config.optimizer.average == 0.0 {
-        return Ok((Network::new(description, &last.tensors, &device), optimizer));
+        return Ok((state::network(description, &last.tensors, run.device), optimizer));
     }
     // The checkpoint contains the running average of the weights.
-    let mut averaged = Layers::new(description, &last.tensors, &device);
-    averaged.exchange(|tensor, values| optimizer.moments[tensor].average = values.to_vec());
+    let averages = state::in_order(description, &last.tensors, &run.device.device());
+    for (moments, average) in optimizer.moments.iter_mut().zip(averages) {
+        moments.average = average;
+    }
     let weights = Checkpoint::new(last.description.clone(), weights);
     weights.check(&file)?;
-    Ok((Network::new(description, &weights.tensors, &device), optimizer))
+    Ok((state::network(description, &weights.tensors, run.device), optimizer))
 }

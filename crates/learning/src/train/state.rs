@@ -6,17 +6,20 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Epoch, TrainConfig,
-    loss_weights::TrivialErrors,
-    optimizer::{Moments, Optimizer},
-    schedule,
+    Epoch, TrainConfig, knots, loss_weights::TrivialErrors, optimizer::Optimizer, schedule,
 };
-use crate::model::{DeviceKind, dropout::Dropout, network::Network};
-use eddy_inference::checkpoint::{Checkpoint, Description, Weights, initial_weights};
+use crate::model::{DeviceKind, dropout::Dropout, layers::Layers, network::Network};
+use burn::tensor::Device;
+use eddy_inference::checkpoint::{
+    Checkpoint, Description, Weights, initial_weights, tensors_of_knot, tensors_of_knots,
+};
 
 /// The state of a run between two batches.
 pub(super) struct RunState {
+    /// With the weights of a step, if there are some for several stiffnesses.
     pub(super) network: Network,
+    /// The weights for several stiffnesses, `[knots x tensors]`; empty if the network has the only ones.
+    pub(super) of_knots: Vec<Vec<f32>>,
     pub(super) optimizer: Optimizer,
     /// Draws the windows.
     pub(super) order: ChaCha8Rng,
@@ -43,14 +46,55 @@ fn seeds(config: &TrainConfig) -> [u64; 3] {
     [(); 3].map(|()| seeds.next_u64())
 }
 
-/// The weights before the first step of a run: those of the checkpoint that it starts from, or random ones.
+/// The weights before the first step of a run: those of the checkpoint that it starts from, or random ones; the same for all stiffnesses, if
+/// they are to have weights of their own and the checkpoint has one set.
 pub(super) fn weights_at_start(
     config: &TrainConfig,
     description: &Description,
     start: Option<&Checkpoint>,
 ) -> BTreeMap<String, Weights> {
     let [.., weights] = seeds(config);
-    start.map_or_else(|| initial_weights(description, weights), |start| start.tensors.clone())
+    let (tensors, knots) = match start {
+        None => (initial_weights(description, weights), 0),
+        Some(start) => (start.tensors.clone(), start.description.stiffness_knots.len()),
+    };
+    match description.stiffness_knots.len() {
+        wanted if wanted == knots => tensors,
+        wanted => tensors_of_knots(&vec![tensors; wanted]),
+    }
+}
+
+/// The network of a run with these weights, and those for several stiffnesses, if there are some.
+pub(super) fn network(
+    description: &Description,
+    tensors: &BTreeMap<String, Weights>,
+    device: DeviceKind,
+) -> (Network, Vec<Vec<f32>>) {
+    let device = device.device().autodiff();
+    if description.stiffness_knots.is_empty() {
+        return (Network::new(description, tensors, &device), Vec::new());
+    }
+    let first = Network::new(description, &tensors_of_knot(tensors, 0), &device);
+    let of_knots = in_order(description, tensors, &device);
+    (first, of_knots)
+}
+
+/// Tensors in the order of the optimizer, those of all knots if there are several.
+pub(super) fn in_order(
+    description: &Description,
+    tensors: &BTreeMap<String, Weights>,
+    device: &Device,
+) -> Vec<Vec<f32>> {
+    let mut all = Vec::new();
+    let mut list = |tensors: &BTreeMap<String, Weights>| {
+        let mut layers = Layers::new(description, tensors, device);
+        layers.exchange(|_, values| all.push(values.to_vec()));
+    };
+    match description.stiffness_knots.len() {
+        0 => list(tensors),
+        knots => (0..knots).for_each(|knot| list(&tensors_of_knot(tensors, knot))),
+    }
+    all
 }
 
 impl RunState {
@@ -64,8 +108,10 @@ impl RunState {
         let [order, dropout, _] = seeds(config);
         let initial = weights_at_start(config, description, start);
         let [order, dropout] = [order, dropout].map(ChaCha8Rng::seed_from_u64);
+        let (network, of_knots) = network(description, &initial, device);
         Self {
-            network: Network::new(description, &initial, &device.device().autodiff()),
+            network,
+            of_knots,
             optimizer: Optimizer::new(config, description),
             order,
             dropout: Dropout::new(config.network.dropout, dropout),
@@ -81,12 +127,75 @@ impl RunState {
 
     /// The weights to validate and save, by name: their running average, if there is one.
     pub(super) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
+        self.by_name(description, |tensor| {
+            let moments = self.optimizer.moments.get(tensor)?;
+            Some(moments.average.as_slice()).filter(|average| !average.is_empty())
+        })
+    }
+
+    /// The weights without an average, by name.
+    pub(super) fn weights(&self, description: &Description) -> BTreeMap<String, Weights> {
+        self.by_name(description, |_| None)
+    }
+
+    /// The weights by name, but for tensors, by number, that have other `values`.
+    fn by_name<'a>(
+        &'a self,
+        description: &Description,
+        values: impl Fn(usize) -> Option<&'a [f32]>,
+    ) -> BTreeMap<String, Weights> {
         let mut layers = self.network.layers().clone();
-        layers.exchange(|tensor, values| match self.optimizer.moments.get(tensor) {
-            Some(Moments { average, .. }) if !average.is_empty() => values.copy_from_slice(average),
-            _ => {}
+        let tensors = layers.count();
+        let mut of_knot = |knot: usize| {
+            layers.exchange(|tensor, current| {
+                let tensor = knot * tensors + tensor;
+                let own = || self.of_knots.get(tensor).map(Vec::as_slice);
+                if let Some(values) = values(tensor).or_else(own) {
+                    current.copy_from_slice(values);
+                }
+            });
+            layers.tensors(description)
+        };
+        match description.stiffness_knots.len() {
+            0 => of_knot(0),
+            knots => tensors_of_knots(&(0..knots).map(of_knot).collect::<Vec<_>>()),
+        }
+    }
+
+    /// The weights without an average, in the order of the optimizer.
+    #[cfg(feature = "cuda")]
+    pub(super) fn in_order(&self) -> Vec<Vec<f32>> {
+        if !self.of_knots.is_empty() {
+            return self.of_knots.clone();
+        }
+        let mut all = Vec::new();
+        self.network.layers().clone().exchange(|_, values| all.push(values.to_vec()));
+        all
+    }
+
+    /// Replaces the weights by those of a list of all tensors.
+    #[cfg(feature = "cuda")]
+    pub(super) fn set_weights(&mut self, weights: Vec<Vec<f32>>) {
+        if self.of_knots.is_empty() {
+            let layers = self.network.layers_mut();
+            layers.exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
+        } else {
+            self.of_knots = weights;
+        }
+    }
+
+    /// Gives the network the weights between those of the knots, if there are several.
+    pub(super) fn mix(&mut self, shares: &[f32]) {
+        if self.of_knots.is_empty() {
+            return;
+        }
+        let Self { network, of_knots, .. } = self;
+        let layers = network.layers_mut();
+        let tensors = layers.count();
+        layers.exchange(|tensor, values| {
+            let of_knots = of_knots.iter().skip(tensor).step_by(tensors);
+            knots::mix(values, of_knots.map(Vec::as_slice), shares);
         });
-        layers.tensors(description)
     }
 
     /// Number of completed epochs.

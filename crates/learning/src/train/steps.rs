@@ -6,6 +6,7 @@ use super::cuda;
 use super::{
     Run, TrainConfig, TrainError,
     gradients::{BatchGradient, GradientTask},
+    knots,
     state::RunState,
     validate,
     window::{Sampler, Window},
@@ -146,6 +147,9 @@ fn step(
     state: &mut RunState,
 ) -> Result<Step, TrainError> {
     let windows = sampler.batch(task.config.windows.batch, || left, &mut state.order)?;
+    let stiffnesses = windows.iter().map(|window| window.stiffness);
+    let shares = knots::shares(&task.config.network.stiffness_knots, stiffnesses);
+    state.mix(&shares);
     let BatchGradient { loss, gradients } =
         task.compute(&state.network, &windows, &mut state.dropout);
     let windows = windows.iter().map(Window::origin).collect();
@@ -153,10 +157,19 @@ fn step(
         return Ok(Step { loss, gradient_norm: f64::NAN, finite: true, windows });
     }
     let mut step = state.optimizer.step(rate, &task.config.optimizer).measured();
-    state.network.layers_mut().exchange(|tensor, values| {
-        if !gradients[tensor].is_empty() {
-            step.change(tensor, values, &gradients[tensor]); // clips it first
+    if state.of_knots.is_empty() {
+        state.network.layers_mut().exchange(|tensor, values| {
+            if !gradients[tensor].is_empty() {
+                step.change(tensor, values, &gradients[tensor]); // clips it first
+            }
+        });
+    }
+    for (tensor, values) in state.of_knots.iter_mut().enumerate() {
+        let (gradient, share) =
+            (&gradients[tensor % gradients.len()], shares[tensor / gradients.len()]);
+        if !gradient.is_empty() && share > 0.0 {
+            step.change_by_share(tensor, values, gradient, share);
         }
-    });
+    }
     Ok(Step { loss, gradient_norm: step.gradient_norm(), finite: true, windows })
 }

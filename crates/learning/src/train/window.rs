@@ -1,6 +1,6 @@
 //! The pieces of streams that make up a batch.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::Range};
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -34,13 +34,25 @@ pub(super) struct Window {
 /// batches are drawn at once and read in the order of their streams, so that each block is read once.
 pub(super) struct Sampler<'a> {
     streams: &'a [Trajectory],
-    /// Number of windows up to and including each stream.
+    /// Indices of the streams: by their stiffness, if each batch is of about one stiffness.
+    order: Vec<usize>,
+    /// Number of windows up to and including each stream in that order.
     ends: Vec<usize>,
+    /// Streams that a batch is drawn from; 0 for all of them.
+    of_batch: usize,
     /// Frames per window.
     frames: usize,
     config: &'a WindowConfig,
     /// Windows drawn ahead.
     ahead: VecDeque<Window>,
+}
+
+/// Least number of streams that a batch of about one stiffness is drawn from.
+const OF_BATCH: usize = 32;
+
+/// A stream's stiffness, for their order.
+fn stiffness(stream: &Trajectory) -> f32 {
+    stream.stiffness.unwrap_or_default()
 }
 
 /// A window that was drawn but not read yet.
@@ -70,11 +82,27 @@ impl<'a> Sampler<'a> {
             windows
         });
         let ends = ends.collect();
+        let order = (0..streams.len()).collect();
         if windows == 0 {
             let found = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
             return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
         }
-        Ok(Self { streams, ends, frames, config, ahead: VecDeque::new() })
+        Ok(Self { streams, order, ends, of_batch: 0, frames, config, ahead: VecDeque::new() })
+    }
+
+    /// The same, but that all windows of a batch are of streams of about one stiffness: [`OF_BATCH`] of them or more that follow each other
+    /// by their stiffness.
+    pub(super) fn by_stiffness(self) -> Self {
+        let Self { streams, mut order, mut ends, .. } = self;
+        let windows = |stream: usize| ends[stream] - if stream == 0 { 0 } else { ends[stream - 1] };
+        let counts: Vec<usize> = (0..streams.len()).map(windows).collect();
+        order.sort_by(|&a, &b| f32::total_cmp(&stiffness(&streams[a]), &stiffness(&streams[b])));
+        let mut sum = 0;
+        for (end, &stream) in ends.iter_mut().zip(&order) {
+            sum += counts[stream];
+            *end = sum;
+        }
+        Self { order, ends, of_batch: OF_BATCH, ..self }
     }
 
     /// The next batch of `size` windows; at least `left` such batches are still needed.
@@ -116,15 +144,35 @@ impl<'a> Sampler<'a> {
 
     /// `count` windows, drawn with replacement, not read.
     pub(super) fn choose_many(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<Draw> {
-        let windows = self.ends.last().copied().unwrap_or(0);
+        let mut range = 0..self.ends.last().copied().unwrap_or(0);
         (0..count)
-            .map(|_| {
-                let window = random.random_range(0..windows);
-                let stream = self.ends.partition_point(|&end| end <= window);
-                let before = if stream == 0 { 0 } else { self.ends[stream - 1] };
-                self.choose(stream, window - before, random)
+            .map(|number| {
+                if self.of_batch > 0 && number.is_multiple_of(self.config.batch) {
+                    range = self.range_of_batch(random);
+                }
+                let window = random.random_range(range.clone());
+                let place = self.ends.partition_point(|&end| end <= window);
+                self.choose(self.order[place], window - self.first(place), random)
             })
             .collect()
+    }
+
+    /// Number of windows before a stream's.
+    fn first(&self, place: usize) -> usize {
+        if place == 0 { 0 } else { self.ends[place - 1] }
+    }
+
+    /// The windows that a batch is drawn from, by the stiffness of one that is drawn.
+    fn range_of_batch(&self, random: &mut ChaCha8Rng) -> Range<usize> {
+        let windows = self.ends.last().copied().unwrap_or(0);
+        let window = random.random_range(0..windows);
+        let place = self.ends.partition_point(|&end| end <= window);
+        // Parts of equal length, as many as there can be.
+        let streams = self.order.len();
+        let parts = (streams / self.of_batch).max(1);
+        let part = place * parts / streams;
+        let [first, end] = [part, part + 1].map(|part| (part * streams).div_ceil(parts));
+        self.first(first)..self.first(end)
     }
 
     /// The id of a window's stream, and the window's first frame in it.

@@ -11,7 +11,7 @@ use crate::train::{
 };
 use eddy_cuda::training::{Batch, Settings, Window};
 use eddy_frames::Material;
-use eddy_inference::checkpoint::Architecture;
+use eddy_inference::checkpoint::{Architecture, MOST_KNOTS};
 
 /// What a step is made of in the stage with so many free frames, on one of `devices` devices.
 pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: usize) -> Settings {
@@ -30,6 +30,7 @@ pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: u
         epsilon: config.optimizer.epsilon,
         average: config.optimizer.average > 0.0,
         muon: config.optimizer.kind == OptimizerKind::Muon,
+        knots: config.network.stiffness_knots.len().max(1),
     }
 }
 
@@ -37,6 +38,7 @@ pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: u
 pub(in crate::train) fn batch(
     draws: &[Draw],
     correction: &Correction,
+    shares: [f32; MOST_KNOTS],
     dropout: Option<&ChaCha8Rng>,
     weights: Option<Vec<[f32; 4]>>,
 ) -> Batch {
@@ -52,6 +54,7 @@ pub(in crate::train) fn batch(
         plain_rate: correction.plain_rate,
         correction: 1.0 / correction.root,
         kept: correction.kept,
+        shares,
         dropout: dropout.map_or([0; 32], ChaCha8Rng::get_seed),
         weights,
     }

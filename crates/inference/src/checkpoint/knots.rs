@@ -1,0 +1,80 @@
+//! Weights for several stiffnesses ("knots"), between which those of a stream are interpolated in the logarithm of its stiffness.
+
+use std::collections::BTreeMap;
+
+use super::{Checkpoint, Description, WeightFormat, Weights};
+
+/// Most stiffnesses that a checkpoint has weights for.
+pub const MOST_KNOTS: usize = 4;
+
+impl Checkpoint {
+    /// The network for streams of a stiffness (density x velocity^2), with one set of weights, not calibrated: interpolated ones if the
+    /// checkpoint has some for several stiffnesses ([`Description::stiffness_knots`]), else its own.
+    pub fn at_stiffness(&self, stiffness: f32) -> Self {
+        let knots = &self.description.stiffness_knots;
+        if knots.is_empty() {
+            return Self::new(self.description.clone(), self.tensors.clone());
+        }
+        let shares = knot_shares(knots, f64::from(stiffness).ln());
+        let description = Description {
+            stiffness_knots: Vec::new(),
+            // Numbers between two of 16 bits have more.
+            weights: WeightFormat::F32,
+            ..self.description.clone()
+        };
+        let tensors = self.tensors.iter();
+        let tensors = tensors.map(|(name, weights)| (name.clone(), mixed(weights, &shares)));
+        Self::new(description, tensors.collect())
+    }
+}
+
+/// What the weights of each knot count for, by the logarithm of the stiffness: linearly between two knots; beyond the ends, the nearest one
+/// counts alone.
+pub fn knot_shares(knots: &[f32], logarithm: f64) -> [f32; MOST_KNOTS] {
+    let mut shares = [0.0; MOST_KNOTS];
+    let places: Vec<f64> = knots.iter().map(|&knot| f64::from(knot).ln()).collect();
+    let upper = places.partition_point(|&place| place <= logarithm);
+    match (upper.checked_sub(1), places.get(upper)) {
+        (Some(lower), Some(&end)) => {
+            let share = (logarithm - places[lower]) / (end - places[lower]);
+            (shares[lower], shares[upper]) = ((1.0 - share) as f32, share as f32);
+        }
+        (Some(last), None) => shares[last] = 1.0,
+        (None, _) => shares[0] = 1.0,
+    }
+    shares
+}
+
+/// The weighted mean of the knots' weights.
+fn mixed(weights: &Weights, shares: &[f32]) -> Weights {
+    let shape = weights.shape[1..].to_vec();
+    let mut values = vec![0.0; shape.iter().product()];
+    for (of_knot, share) in weights.values.chunks(values.len().max(1)).zip(shares) {
+        values.iter_mut().zip(of_knot).for_each(|(sum, value)| *sum += share * value);
+    }
+    Weights { shape, values }
+}
+
+/// The tensors of one knot out of those with all along the first axis.
+pub fn tensors_of_knot(
+    tensors: &BTreeMap<String, Weights>,
+    knot: usize,
+) -> BTreeMap<String, Weights> {
+    let of_knot = |weights: &Weights| {
+        let shape = weights.shape[1..].to_vec();
+        let size = shape.iter().product::<usize>();
+        Weights { shape, values: weights.values[knot * size..][..size].to_vec() }
+    };
+    tensors.iter().map(|(name, weights)| (name.clone(), of_knot(weights))).collect()
+}
+
+/// The tensors of all knots, along the first axis: the inverse of [`tensors_of_knot`].
+pub fn tensors_of_knots(knots: &[BTreeMap<String, Weights>]) -> BTreeMap<String, Weights> {
+    let names = knots.iter().take(1).flat_map(BTreeMap::iter);
+    let all = |name: &String, shape: &[usize]| {
+        let values = knots.iter().filter_map(|tensors| tensors.get(name));
+        let values = values.flat_map(|weights| &weights.values).copied().collect();
+        Weights { shape: [&[knots.len()], shape].concat(), values }
+    };
+    names.map(|(name, Weights { shape, .. })| (name.clone(), all(name, shape))).collect()
+}
