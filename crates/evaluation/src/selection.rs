@@ -100,10 +100,10 @@ fn unseen(
     streams: Vec<Trajectory>,
     descriptions: &[&Description],
 ) -> Result<Vec<Trajectory>, EvaluationError> {
-    let seen: HashSet<_> = descriptions.iter().flat_map(|d| &d.training.seen).collect();
+    let seen: HashSet<_> = descriptions.iter().flat_map(|d| d.training.seen.iter()).collect();
     let mut unseen = Vec::new();
     for stream in streams {
-        if !seen.contains(&stream.fingerprint()?) {
+        if !seen.contains(stream.fingerprint()?.as_str()) {
             unseen.push(stream);
         }
     }

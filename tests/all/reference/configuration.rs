@@ -66,6 +66,7 @@ fn values(source: &Source, kind: &str) -> String {
         "String" => "text".to_owned(),
         "PathBuf" => "path".to_owned(),
         "Link" => "link".to_owned(),
+        "Fingerprints" => "text, base64".to_owned(),
         kind if kind.starts_with("BTreeMap<String, String>") => "table of texts".to_owned(),
         kind => {
             let words = source.item(bare(kind)).members.iter().map(|word| word.name.as_str());

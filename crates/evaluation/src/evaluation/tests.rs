@@ -123,12 +123,13 @@ fn streams_that_a_checkpoint_was_trained_on_are_excluded_with_a_remark() {
     let (_folder, streams) = truth();
     let mut seen = request(&streams);
     let known = &mut seen.checkpoints[0].1.description.training.seen;
-    known.push(streams[0].fingerprint().unwrap());
+    *known = [streams[0].fingerprint().unwrap()].into_iter().collect();
     let evaluation = Evaluation::new(seen.clone(), &Silent).unwrap();
     let remark = "a checkpoint was trained on 1 of the 2 streams: they are excluded";
     assert!(evaluation.remarks().iter().any(|said| said == remark));
     assert_eq!(evaluation.run(&Silent).unwrap().streams, 1);
-    seen.checkpoints[0].1.description.training.seen.push(streams[1].fingerprint().unwrap());
+    let both = streams.iter().map(|stream| stream.fingerprint().unwrap());
+    seen.checkpoints[0].1.description.training.seen = both.collect();
     let error = evaluate(seen).unwrap_err();
     assert!(matches!(error, EvaluationError::Seen), "{error}");
 }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     CheckpointError, MOST_KNOTS, Rules,
+    fingerprints::Fingerprints,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules,
 };
@@ -55,8 +56,8 @@ pub struct TrainingSummary {
     pub start: Option<String>,
     /// Fingerprints of the streams used for training and validation (`Trajectory::fingerprint`), which evaluations exclude;
     /// empty if unknown.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub seen: Vec<String>,
+    #[serde(default, skip_serializing_if = "Fingerprints::is_empty")]
+    pub seen: Fingerprints,
     /// A baseline fitted by least squares to the training part: the change of a particle's velocity within a frame along x and
     /// along y as a + A (x, y, vx, vy), `[a, A]` each (domain lengths, domain lengths per second).
     #[serde(default, skip_serializing_if = "Option::is_none")]

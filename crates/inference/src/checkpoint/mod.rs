@@ -14,6 +14,7 @@
 mod description;
 mod error;
 mod files;
+mod fingerprints;
 pub mod grid;
 mod initial;
 mod knots;
@@ -26,6 +27,7 @@ pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummar
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};
+pub use fingerprints::Fingerprints;
 pub use initial::initial_weights;
 pub use knots::{MOST_KNOTS, knot_shares, tensors_of_knot, tensors_of_knots};
 pub use layout::tensor_shapes;

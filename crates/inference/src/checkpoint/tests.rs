@@ -39,7 +39,7 @@ fn checkpoint() -> Checkpoint {
             validation_loss: 0.5,
             samples: 4096,
             start: Some("fedcba9876543210".to_owned()),
-            seen: vec!["0123456789abcdef".to_owned()],
+            seen: ["0123456789abcdef".to_owned()].into_iter().collect(),
             linear_fit: Some([[0.5, -0.25, 0.125, 1.0, 2.0], [0.0, 0.1, 0.2, 0.3, -0.4]]),
         },
     };

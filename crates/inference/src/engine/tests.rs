@@ -14,6 +14,7 @@ use crate::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, FrameOptions, GridOptions, Normalization,
         Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
+        tensors_of_knots,
     },
     kernels::rest_shape::RestShape,
 };

@@ -58,7 +58,7 @@ pub(super) fn describe(
             command: command.to_owned(),
             seed: config.seed,
             validation_loss: f64::MAX,
-            seen: dataset.seen()?,
+            seen: dataset.seen()?.into_iter().collect(),
             linear_fit: LinearFit::of(&dataset.train)?.map(|fit| fit.rows),
             ..TrainingSummary::default()
         },
@@ -116,8 +116,9 @@ pub(super) fn start_from(
     description.rules = start.rules;
     let materials = description.materials.iter().chain(&start.materials).copied();
     description.materials = materials.collect::<BTreeSet<_>>().into_iter().collect();
-    let seen = description.training.seen.iter().chain(&start.training.seen).cloned();
-    description.training.seen = seen.collect::<BTreeSet<_>>().into_iter().collect();
+    let seen = description.training.seen.iter().chain(start.training.seen.iter());
+    description.training.seen =
+        seen.map(str::to_owned).collect::<BTreeSet<_>>().into_iter().collect();
     Ok(())
 }
 
