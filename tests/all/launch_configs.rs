@@ -35,9 +35,14 @@ files! {
     the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => |name| {
         train(name, "frame min");
     },
-    soft_matter_is_trained_with_its_settings: "train_soft.toml" => train_particles,
-    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => train_particles,
-    any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => train_particles,
+    soft_matter_is_trained_with_its_settings: "train_soft.toml" => |name| train_particles(name, &[]),
+    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => |name| train_particles(name, &[]),
+    any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => |name| {
+        train_particles(name, &[]);
+    },
+    any_stiffness_is_trained_further_with_its_settings: "train_conditioned_knots.toml" => |name| {
+        train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
+    },
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
     replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
@@ -89,25 +94,25 @@ fn train(name: &str, network: &str) {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag");
     write_bag(&bag, &(0..6).map(stream).collect::<Vec<_>>());
-    begin_training(name, &bag, network);
+    begin_training(name, &bag, network, &[]);
 }
 
 /// Begins a training on small scenes of 75 frames, more than those of its longest windows, each with a stiffness.
-fn train_particles(name: &str) {
+fn train_particles(name: &str, start: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let bags = folder.path().join("bags");
     let scenes = ["simulate", "--preset", "kinds", "--particles", "250", "--scenes", "5"];
     let more = ["--duration", "1.2", "--stiffness", "300..3e3", "--output", bags.to_str().unwrap()];
     succeed([&scenes[..], &more].concat());
-    begin_training(name, &bags, "particle min");
+    begin_training(name, &bags, "particle min", start);
 }
 
 /// Trains until it says which network: to the end it would take days.
-fn begin_training(name: &str, data: &Path, network: &str) {
+fn begin_training(name: &str, data: &Path, network: &str, start: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     let mut command = talking_eddy();
     command.args(["train", "--config", &file(name), "--data", data.to_str().unwrap()]);
-    command.args(["--output", folder.path().join("model").to_str().unwrap()]);
+    command.args(["--output", folder.path().join("model").to_str().unwrap()]).args(start);
     let mut training = Process::start_until(&mut command, network);
     training.interrupt();
     training.wait();
