@@ -300,7 +300,9 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     simulate(&folder.path().join("truth"), 2, 0.2);
     let streams = dataset::load_trajectories(&[data.clone().into()], u64::MAX, &mut |_, _| ());
     let known = streams.unwrap()[1].fingerprint().unwrap();
-    let seen = changed(&folder, "seen", |description| description.training.seen = vec![known]);
+    let seen = changed(&folder, "seen", |description| {
+        description.training.seen = [known].into_iter().collect()
+    });
     let judge = |data: &str| {
         let arguments = ["eval", "--checkpoint", &seen, "--data", data, "--output", &output];
         let arguments = arguments.into_iter().chain(["--horizon", "2", "--starts", "1"]);

@@ -26,7 +26,7 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     assert!(losses[2] < losses[0], "the training loss rose: {losses:?}");
 
     let seen = Checkpoint::load(path("model").as_ref()).unwrap().description.training.seen;
-    assert_eq!(seen.len(), 2, "fitted to one stream, chosen by another");
+    assert_eq!(seen.iter().count(), 2, "fitted to one stream, chosen by another");
 
     let report = path("report");
     let judge = ["eval", "--checkpoint", &model, "--data", &data, "--output", &report];

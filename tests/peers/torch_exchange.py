@@ -4,8 +4,8 @@
     cargo build --release
     python tests/peers/torch_exchange.py target/release/eddy
 
-For both architectures and every core, for a particle model that is conditioned on the stiffness and for one with weights of 16
-bits, a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
+For both architectures and every core, for particle models that are conditioned on the stiffness, without and with weights for
+several stiffnesses, and for one with weights of 16 bits, a checkpoint written by PyTorch, and one trained by `eddy train` and loaded into PyTorch
 with `strict=True`, each predict a bag with `eddy predict` and in PyTorch. A table shows the largest
 difference relative to the largest value; exits with 1 if one exceeds 1e-5.
 """
@@ -35,7 +35,12 @@ SURROUNDINGS = {"cell_width": 1 / 32, "channels": [5, 6, 7, 8], "spacing": 1 / 1
 # Nodes reject frames that are much faster than the training data.
 FASTEST = 15.0
 # Keys of a network's description and of its training.
-OPTIONS = {"-": {}, "stiffness": {"stiffness": True}, "f16": {"weights": "f16"}}
+OPTIONS = {
+    "-": {},
+    "stiffness": {"stiffness": True},
+    "knots": {"stiffness": True, "stiffness_knots": [1e2, 3e3, 1e5]},
+    "f16": {"weights": "f16"},
+}
 NEAR = 1e-5
 # Young's modulus of the scenes.
 STIFFNESS = 1e3
@@ -126,21 +131,22 @@ def main() -> None:
             "particle": {"sizes": SIZES, "surroundings": SURROUNDINGS},
         }
         print("model    core     option    by PyTorch  by eddy")
-        rows = [*itertools.product(own, CORES, ["-"]), ("particle", "mingru", "stiffness"), ("particle", "mingru", "f16")]
+        rows = [*itertools.product(own, CORES, ["-"]), *(("particle", "mingru", option) for option in OPTIONS if option != "-")]
         for architecture, core, option in rows:
             name = f"{architecture}_{core}_{option}"
             written = work / f"{name}_torch"
             description = describe(core, architecture=architecture, **own[architecture], **OPTIONS[option])
             scale = description["normalization"]
             scale["minimum"][2:], scale["maximum"][2:] = [-FASTEST] * 2, [FASTEST] * 2
-            save(network(description), description, written)
+            knots = len(description.get("stiffness_knots", []))
+            save([network(description) for _ in range(knots)] or network(description), description, written)
             trained = work / f"{name}_eddy"
             train = ["--architecture", architecture, "--core", core, "--config", work / f"{option}.toml"]
             train += ["--data", work / "truth", "--output", trained]
             subprocess.run([eddy, "--quiet", "train", *train], check=True)
             both = [
-                difference(eddy, load(written), written, bag, work),
-                difference(eddy, load(trained), trained, bag, work),
+                difference(eddy, load(written, STIFFNESS), written, bag, work),
+                difference(eddy, load(trained, STIFFNESS), trained, bag, work),
             ]
             print(f"{architecture:8} {core:8} {option:9} {both[0]:10.1e} {both[1]:8.1e}", flush=True)
             apart += both

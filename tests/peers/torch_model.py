@@ -48,12 +48,17 @@ def between(knots: list[float], values: torch.Tensor, stiffness: float | None) -
     return (1 - share) * values[upper - 1] + share * values[upper]
 
 
-def save(model: Model, description: dict[str, Any], directory: Path) -> None:
-    """Write a checkpoint."""
+def save(model: Model | list[Model], description: dict[str, Any], directory: Path) -> None:
+    """Write a checkpoint; one with weights for several stiffnesses from a network for each."""
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "model.toml").write_text(tomli_w.dumps(description))
     dtype = torch.float16 if description.get("weights") == "f16" else torch.float32
-    save_file({name: tensor.to(dtype) for name, tensor in model.state_dict().items()}, directory / "model.safetensors")
+    if isinstance(model, list):
+        states = [of_knot.state_dict() for of_knot in model]
+        tensors = {name: torch.stack([state[name] for state in states]) for name in states[0]}
+    else:
+        tensors = model.state_dict()
+    save_file({name: tensor.to(dtype) for name, tensor in tensors.items()}, directory / "model.safetensors")
 
 
 def describe(core: str, sizes: dict[str, int], **changes: Any) -> dict[str, Any]:

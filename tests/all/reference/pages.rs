@@ -131,7 +131,7 @@ pub fn checkpoint() -> String {
     );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, the description of the network, and `model.safetensors`, its weights: f32, or f16 \
-         if `weights` says so, in PyTorch's layout [out, in]. The digest covers both files. `error_model.toml`, if `eddy calibrate` has made one, changes no \
+         if `weights` says so, in PyTorch's layout [out, in], after the stiffnesses if there are `stiffness_knots`. The digest covers both files. `error_model.toml`, if `eddy calibrate` has made one, changes no \
          prediction and is not covered.\n\n## model.toml\n\nEach table below `rules` is a rule that \
          corrects predictions of the particle model; a missing table switches its rule off \
          ([what each rule is worth](../background/particle_model.md#what-each-rule-is-worth)).\n\n{}\n## error_model.toml\n\n\

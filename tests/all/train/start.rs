@@ -66,9 +66,9 @@ fn training_goes_on_from_the_weights_and_scales_of_the_checkpoint() {
         let [before, after] = [&start.description, &end.description];
         assert_eq!(after.normalization, before.normalization);
         assert_eq!(after.materials, [Material::Liquid, Material::Snow, Material::Rope]);
-        let seen = |name: &String| after.training.seen.contains(name);
+        let seen = |name: &str| after.training.seen.contains(name);
         assert!(before.training.seen.iter().all(seen), "evaluations leave them out");
-        assert!(other().seen().unwrap().iter().all(seen));
+        assert!(other().seen().unwrap().iter().all(|stream| seen(stream)));
         assert_eq!(after.data, "other");
     }
 }

@@ -1,7 +1,7 @@
 //! Weights, their gradients, and Adam, which changes one matrix at a time or several; Muon for the hidden layers' weights.
 //!
-//! If there are weights for several stiffnesses ("knots"), those of a step are a weighted mean of them, and a step changes those of
-//! each knot by its share of the gradient. Lists of tensors then have those of each knot one after the other.
+//! If there are weights for several stiffnesses ("knots"), the weights of a step are their weighted mean. The gradient of a knot's
+//! weights is that of the step times the knot's share of the mean. Lists of tensors have the tensors of each knot one after the other.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
@@ -56,8 +56,8 @@ struct Knots {
     scales: Buffer,
 }
 
-/// What a step changes by its share of the gradient.
-struct Changed {
+/// Where the weights of a knot, or the only ones, are, and what changes them.
+struct OfKnot {
     weights: Address,
     first: Address,
     second: Address,
@@ -116,8 +116,8 @@ impl Optimizer {
         })
     }
 
-    /// Sets of weights.
-    fn count(&self) -> usize {
+    /// Number of sets of weights.
+    fn sets(&self) -> usize {
         self.knots.as_ref().map_or(1, |knots| knots.count)
     }
 
@@ -126,9 +126,12 @@ impl Optimizer {
         self.knots.as_ref().map_or(&self.weights, |knots| &knots.weights)
     }
 
-    /// Puts packed weights onto the device, those of each knot one after the other.
+    /// Puts packed weights onto the device, those of each knot one after the other, and as their running average, which begins at them.
     pub(crate) fn write_weights(&self, all: &[f32]) -> Result<()> {
-        self.device.write(self.trained(), 0, bytemuck::cast_slice(all))
+        [Some(self.trained()), self.average.as_ref()]
+            .into_iter()
+            .flatten()
+            .try_for_each(|buffer| self.device.write(buffer, 0, bytemuck::cast_slice(all)))
     }
 
     /// Puts what the optimizer remembers of each tensor onto the device: first and second moments and the weights' running
@@ -145,7 +148,7 @@ impl Optimizer {
                     self.packing.pack_ordered(tensors.iter().map(|tensor| tensor[number]))
                 });
                 let mut all: Vec<f32> = of_knot.collect();
-                all.resize(self.count() * self.packing.size, 0.0);
+                all.resize(self.sets() * self.packing.size, 0.0);
                 self.device.write(buffer, 0, bytemuck::cast_slice(&all))?;
             }
         }
@@ -158,7 +161,7 @@ impl Optimizer {
     /// # Errors
     /// As above.
     pub fn state(&self) -> Result<[Vec<Vec<f32>>; 4]> {
-        let count = self.count();
+        let count = self.sets();
         let ordered = |buffer: Option<&Buffer>| match buffer {
             Some(buffer) => {
                 let all = self.numbers(buffer, count)?;
@@ -177,11 +180,11 @@ impl Optimizer {
     }
 
     pub(super) fn weights(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(self.trained(), self.count())
+        self.read(self.trained(), self.sets())
     }
 
     pub(super) fn average(&self) -> Result<BTreeMap<String, Weights>> {
-        self.read(self.averaged_weights(), self.count())
+        self.read(self.averaged_weights(), self.sets())
     }
 
     pub(super) fn gradients(&self) -> Result<BTreeMap<String, Weights>> {
@@ -271,12 +274,12 @@ impl Optimizer {
         )
     }
 
-    /// What each knot's share of the gradient changes.
-    fn changed(&self) -> impl Iterator<Item = Changed> {
+    /// Of each knot, or of the only weights.
+    fn of_knots(&self) -> impl Iterator<Item = OfKnot> {
         let Packing { size, tensors, .. } = self.packing;
-        (0..self.count()).map(move |knot| {
+        (0..self.sets()).map(move |knot| {
             let of_knot = |buffer: &Buffer| buffer.address().plus(knot * size);
-            Changed {
+            OfKnot {
                 weights: of_knot(self.trained()),
                 first: of_knot(&self.first),
                 second: of_knot(&self.second),
@@ -309,7 +312,7 @@ impl Optimizer {
             )?;
         }
         let most = matrices.iter().map(Matrix::size).max().unwrap_or_default();
-        self.changed().try_for_each(|changed| {
+        self.of_knots().try_for_each(|changed| {
             self.launch(
                 queue,
                 Kernel::Adam,
@@ -336,7 +339,7 @@ impl Optimizer {
     /// Muon for the weights of all hidden layers, which Adam leaves as they are; nothing if it was not asked for.
     pub(crate) fn change_hidden(&self, tables: &Tables) -> Result<()> {
         let Some(muon) = &self.muon else { return Ok(()) };
-        self.changed().try_for_each(|changed| {
+        self.of_knots().try_for_each(|changed| {
             let buffers = Buffers {
                 weights: changed.weights,
                 gradients: self.gradients.address(),

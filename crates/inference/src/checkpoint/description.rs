@@ -5,10 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, MOST_KNOTS, Rules,
+    CheckpointError, Rules, VALID_KNOTS,
     fingerprints::Fingerprints,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
-    rules,
+    rules, valid_knots,
 };
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
@@ -252,15 +252,8 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         }
     }
     let knots = &description.stiffness_knots;
-    let rising = knots.is_sorted_by(|lower, upper| lower < upper);
-    let valid = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0) && rising;
-    let valid = match knots.len() {
-        0 => true,
-        2..=MOST_KNOTS => valid && description.stiffness,
-        _ => false,
-    };
-    let expected = "nothing, or 2 to 4 positive numbers, each larger than the one before, with stiffness = true";
-    require(valid, "stiffness_knots", &format!("{knots:?}"), expected)?;
+    let valid = valid_knots(knots, description.stiffness);
+    require(valid, "stiffness_knots", &format!("{knots:?}"), VALID_KNOTS)?;
     if let Some(GridOptions { cell_width, channels, spacing }) = grid {
         positive("surroundings.cell_width", *cell_width)?;
         positive("surroundings.spacing", *spacing)?;

@@ -10,11 +10,18 @@ const DIGITS: usize = 16;
 ///
 /// In a file they are one text, the eight bytes of each in base64: half the size of a list of hexadecimal texts, as which older files
 /// hold them. Read from a list, they are written as a list again, so that a checkpoint keeps its digest.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "Written")]
 pub struct Fingerprints {
     streams: Vec<String>,
     listed: bool,
+}
+
+/// Of the same streams, whether listed or not.
+impl PartialEq for Fingerprints {
+    fn eq(&self, other: &Self) -> bool {
+        self.streams == other.streams
+    }
 }
 
 /// What is in the file.
@@ -48,6 +55,10 @@ impl FromIterator<String> for Fingerprints {
     }
 }
 
+fn hexadecimal(fingerprint: u64) -> String {
+    format!("{fingerprint:0DIGITS$x}")
+}
+
 impl TryFrom<Written> for Fingerprints {
     type Error = String;
 
@@ -63,16 +74,16 @@ impl TryFrom<Written> for Fingerprints {
             let found = bytes.len();
             return Err(format!("found {found} bytes, expected eight for each stream"));
         }
-        let hexadecimal = |stream: &[u8; 8]| format!("{:0DIGITS$x}", u64::from_be_bytes(*stream));
-        Ok(streams.iter().map(hexadecimal).collect())
+        Ok(streams.iter().map(|stream| hexadecimal(u64::from_be_bytes(*stream))).collect())
     }
 }
 
 impl From<Fingerprints> for Written {
     fn from(Fingerprints { streams, listed }: Fingerprints) -> Self {
-        let number = |stream: &String| match stream.len() {
-            DIGITS => u64::from_str_radix(stream, 16).ok(),
-            _ => None,
+        // Those that are read again as the same text.
+        let number = |stream: &String| {
+            let number = u64::from_str_radix(stream, 16).ok();
+            number.filter(|number| hexadecimal(*number) == *stream)
         };
         match streams.iter().map(number).collect::<Option<Vec<_>>>() {
             Some(numbers) if !listed => {

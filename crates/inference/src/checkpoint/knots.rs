@@ -7,6 +7,16 @@ use super::{Checkpoint, Description, WeightFormat, Weights};
 /// Most stiffnesses that a checkpoint has weights for.
 pub const MOST_KNOTS: usize = 4;
 
+/// What [`valid_knots`] are.
+pub const VALID_KNOTS: &str = "nothing, or 2 to 4 positive numbers, each larger than the one before, for a network with stiffness = true";
+
+/// Whether a network can have weights for these stiffnesses.
+pub fn valid_knots(knots: &[f32], conditioned: bool) -> bool {
+    let positive = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0);
+    let rising = knots.is_sorted_by(|lower, upper| lower < upper);
+    knots.is_empty() || conditioned && (2..=MOST_KNOTS).contains(&knots.len()) && positive && rising
+}
+
 impl Checkpoint {
     /// The network for streams of a stiffness (density x velocity^2), with one set of weights, not calibrated: interpolated ones if the
     /// checkpoint has some for several stiffnesses ([`Description::stiffness_knots`]), else its own.
@@ -45,13 +55,20 @@ pub fn knot_shares(knots: &[f32], logarithm: f64) -> [f32; MOST_KNOTS] {
     shares
 }
 
+/// The mean of the knots' values of a tensor, weighted by `shares`, `[knots]`.
+pub fn mix<'a>(values: &mut [f32], of_knots: impl Iterator<Item = &'a [f32]>, shares: &[f32]) {
+    values.fill(0.0);
+    for (of_knot, share) in of_knots.zip(shares) {
+        values.iter_mut().zip(of_knot).for_each(|(sum, value)| *sum = share.mul_add(*value, *sum));
+    }
+}
+
 /// The weighted mean of the knots' weights.
 fn mixed(weights: &Weights, shares: &[f32]) -> Weights {
     let shape = weights.shape[1..].to_vec();
     let mut values = vec![0.0; shape.iter().product()];
-    for (of_knot, share) in weights.values.chunks(values.len().max(1)).zip(shares) {
-        values.iter_mut().zip(of_knot).for_each(|(sum, value)| *sum += share * value);
-    }
+    let of_knots = weights.values.chunks(values.len().max(1));
+    mix(&mut values, of_knots, shares);
     Weights { shape, values }
 }
 

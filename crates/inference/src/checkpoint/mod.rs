@@ -4,12 +4,13 @@
 //!
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
 //!    that correct its predictions (`rules`).
-//! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]`, with the names
+//! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]` (`[stiffnesses, out,
+//!    in]` if there are some for several stiffnesses), with the names
 //!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
-//! `knots` interpolates weights for several stiffnesses. `initial` draws the weights of an untrained network. `files` replaces both files so that a crash between any two system
-//! calls leaves a complete checkpoint, the old one or the new one.
+//! `knots` interpolates weights for several stiffnesses. `initial` draws the weights of an untrained network. `files` replaces both
+//! files so that a crash between any two system calls leaves a complete checkpoint, the old one or the new one.
 
 mod description;
 mod error;
@@ -29,7 +30,9 @@ pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};
 pub use fingerprints::Fingerprints;
 pub use initial::initial_weights;
-pub use knots::{MOST_KNOTS, knot_shares, tensors_of_knot, tensors_of_knots};
+pub use knots::{
+    MOST_KNOTS, VALID_KNOTS, knot_shares, mix, tensors_of_knot, tensors_of_knots, valid_knots,
+};
 pub use layout::tensor_shapes;
 pub use network::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
@@ -57,7 +60,7 @@ pub struct Checkpoint {
 /// One tensor of weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
-    /// Length of each axis: `[out, in]` for the matrix of a linear layer.
+    /// Length of each axis: `[out, in]` for the matrix of a linear layer, after the stiffnesses if there are weights for several.
     pub shape: Vec<usize>,
     /// The values, last axis fastest.
     pub values: Vec<f32>,

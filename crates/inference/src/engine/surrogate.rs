@@ -62,23 +62,31 @@ pub struct Surrogate {
 struct ByStiffness {
     checkpoint: Checkpoint,
     pack: Box<Pack>,
-    /// By the bits of the stiffness.
-    networks: Mutex<BTreeMap<u32, Weak<Network>>>,
+    networks: Mutex<Networks>,
+}
+
+/// Networks of streams, by the bits of their stiffness; the one that was used last is kept without a stream too.
+#[derive(Default)]
+struct Networks {
+    in_use: BTreeMap<u32, Weak<Network>>,
+    last: Option<Arc<Network>>,
 }
 
 /// Makes the network of a checkpoint with one set of weights.
 type Pack = dyn Fn(&Checkpoint) -> Result<Network, ModelError> + Send + Sync;
 
 impl ByStiffness {
-    /// The network for streams of a stiffness, packed unless another stream has it.
+    /// The network for streams of a stiffness, packed unless another stream has it or had it last.
     fn network(&self, stiffness: f32) -> Result<OfStiffness, ModelError> {
         let mut networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(network) = networks.get(&stiffness.to_bits()).and_then(Weak::upgrade) {
-            return Ok(OfStiffness(network));
-        }
-        networks.retain(|_, network| network.strong_count() > 0);
-        let network = Arc::new((self.pack)(&self.checkpoint.at_stiffness(stiffness))?);
-        networks.insert(stiffness.to_bits(), Arc::downgrade(&network));
+        let known = networks.in_use.get(&stiffness.to_bits()).and_then(Weak::upgrade);
+        let network = match known {
+            Some(network) => network,
+            None => Arc::new((self.pack)(&self.checkpoint.at_stiffness(stiffness))?),
+        };
+        networks.last = Some(Arc::clone(&network));
+        networks.in_use.retain(|_, network| network.strong_count() > 0);
+        networks.in_use.insert(stiffness.to_bits(), Arc::downgrade(&network));
         Ok(OfStiffness(network))
     }
 }
@@ -187,10 +195,11 @@ impl Surrogate {
         Stepper::new(&self.network, interval, self.threads)
     }
 
-    /// Number of streams from which on stepping more at once gains nothing: 1 on the processor.
+    /// Number of streams from which on stepping more at once gains nothing: 1 on the processor, or if streams of different stiffness
+    /// have networks of their own.
     pub fn streams_at_once(&self) -> usize {
         match &*self.network {
-            Network::Device(device) => device.streams(),
+            Network::Device(device) if self.by_stiffness.is_none() => device.streams(),
             _ => 1,
         }
     }

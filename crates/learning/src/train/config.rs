@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::TrainError;
 use eddy_inference::checkpoint::{
     Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
-    MOST_KNOTS, MaterialInput, Pooling, Sizes, WeightFormat,
+    MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat, valid_knots,
 };
 
 /// Width of layers up to which Muon runs on every supported GPU.
@@ -334,16 +334,8 @@ impl TrainConfig {
         let valid = self.architecture == Architecture::Frame || frame == default;
         require("network.frame", format!("{frame:?}"), valid, "nothing for the particle model")?;
         let knots = &self.network.stiffness_knots;
-        let valid = match knots.len() {
-            0 => true,
-            2..=MOST_KNOTS => {
-                let positive = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0);
-                positive && knots.is_sorted_by(|a, b| a < b) && self.network.stiffness
-            }
-            _ => false,
-        };
-        let expected = "nothing, or 2 to 4 positive numbers, each larger than the one before, with network.stiffness = true";
-        require("network.stiffness_knots", format!("{knots:?}"), valid, expected)?;
+        let valid = valid_knots(knots, self.network.stiffness);
+        require("network.stiffness_knots", format!("{knots:?}"), valid, VALID_KNOTS)?;
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
@@ -443,6 +435,29 @@ mod tests {
             let message = checked(channels).unwrap_err();
             let expected = "expected two to four numbers, 1 to 4096 each";
             assert_eq!(message, format!("network.channels: found {channels:?}, {expected}"));
+        }
+    }
+
+    #[test]
+    fn weights_for_several_stiffnesses_need_two_to_four_rising_ones() {
+        let checked = |knots: &[f32], stiffness| {
+            let mut config = TrainConfig::defaults(Architecture::Particle);
+            config.network.stiffness_knots = knots.to_vec();
+            config.network.stiffness = stiffness;
+            config.check().map_err(|error| error.to_string())
+        };
+        checked(&[], false).unwrap();
+        checked(&[1e2, 1e5], true).unwrap();
+        for (knots, stiffness) in [
+            (&[1e2, 1e5][..], false),
+            (&[1e2], true),
+            (&[1e5, 1e2], true),
+            (&[0.0, 1e2], true),
+            (&[1.0, 2.0, 3.0, 4.0, 5.0], true),
+        ] {
+            let message = checked(knots, stiffness).unwrap_err();
+            let found = format!("network.stiffness_knots: found {knots:?}, expected {VALID_KNOTS}");
+            assert_eq!(message, found);
         }
     }
 }

@@ -39,7 +39,12 @@ pub(super) fn check(
     let keeps_points = run.device != DeviceKind::Flex || description.frame.pooling != Pooling::Mean;
     let numbers_of_batch = || batch_numbers(config, description, particles, keeps_points);
     let batch = if here { bytes(numbers_of_batch()) } else { 0 };
-    let (training, validation) = (bytes(IN_TRAINING * numbers), bytes(IN_VALIDATION * numbers));
+    // Of weights for several stiffnesses, network and gradient have one set, but all sets are kept beside.
+    let in_training = match description.stiffness_knots.len() {
+        0 => IN_TRAINING * numbers,
+        knots => (IN_TRAINING - 1) * numbers + 2 * (numbers / knots),
+    };
+    let (training, validation) = (bytes(in_training), bytes(IN_VALIDATION * numbers));
     let batch = if training.saturating_add(batch) < validation { 0 } else { batch };
     let weights = if batch == 0 { validation } else { training };
     if weights.saturating_add(batch) > free {

@@ -1,6 +1,8 @@
-//! Weights for several stiffnesses ("knots"): a step has those between them, and changes those of each knot by its share of the gradient.
+//! Weights for several stiffnesses ("knots"): the weights of a step are their weighted mean, and the gradient of a knot's weights is that
+//! of the step times the knot's share. Adam and Muon divide by the size of past gradients: a knot with a small share still takes steps of
+//! nearly full length, one with a share of 0 none.
 //!
-//! Tensors of all knots are in lists, those of each knot one after the other, in the order of the optimizer.
+//! Lists of tensors have the tensors of each knot one after the other, in the order of the optimizer.
 
 use eddy_inference::checkpoint::{MOST_KNOTS, knot_shares};
 
@@ -22,16 +24,4 @@ pub(super) fn shares(
         count += 1.0;
     }
     knot_shares(knots, sum / count)
-}
-
-/// The weighted mean of the weights of a tensor, `[knots]`.
-pub(super) fn mix<'a>(
-    values: &mut [f32],
-    of_knots: impl Iterator<Item = &'a [f32]>,
-    shares: &[f32],
-) {
-    values.fill(0.0);
-    for (of_knot, share) in of_knots.zip(shares) {
-        values.iter_mut().zip(of_knot).for_each(|(sum, value)| *sum = share.mul_add(*value, *sum));
-    }
 }

@@ -96,11 +96,13 @@ mod tests {
         fn moments_are_restored_by_name(
             core in prop::sample::select(Core::ALL.to_vec()),
             layers in 1..4usize,
+            knots in 0..3usize,
             absent in prop::collection::btree_set(0..20usize, 0..5),
         ) {
             let mut description = Checkpoint::shipped().unwrap().description;
             (description.core, description.sizes.layers) = (core, layers);
             (description.sizes.hidden, description.sizes.encoder) = (2, 3);
+            description.stiffness_knots = (0..knots).map(|knot| knot as f32 + 1.0).collect();
             let mut next = 0.0;
             let mut numbers = |count: usize| {
                 (0..count).map(|_| { next += 1.0; next }).collect::<Vec<f32>>()

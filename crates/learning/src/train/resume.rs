@@ -25,9 +25,9 @@ use super::{
     moments::{checksum, moments_by_name, moments_in_order},
     optimizer::Optimizer,
     record::{self, GeneratorState, RECORD_VERSION, Record, damaged, same_run},
-    state::{self, RunState},
+    state::{self, NetworkWithKnots, RunState},
 };
-use crate::model::{dropout::Dropout, network::Network};
+use crate::model::dropout::Dropout;
 use eddy_inference::checkpoint::{
     self, Checkpoint, DESCRIPTION_FILE, Description, WEIGHTS_FILE, WeightFormat,
 };
@@ -263,7 +263,7 @@ fn tensors(
     run: &Run,
     record: &Record,
     last: &Checkpoint,
-) -> Result<((Network, Vec<Vec<f32>>), Optimizer), TrainError> {
+) -> Result<(NetworkWithKnots, Optimizer), TrainError> {
     let file = folder.join(MOMENTS_FILE);
     let bytes =
         fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;

@@ -5,13 +5,11 @@ use std::collections::BTreeMap;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    Epoch, TrainConfig, knots, loss_weights::TrivialErrors, optimizer::Optimizer, schedule,
-};
+use super::{Epoch, TrainConfig, loss_weights::TrivialErrors, optimizer::Optimizer, schedule};
 use crate::model::{DeviceKind, dropout::Dropout, layers::Layers, network::Network};
 use burn::tensor::Device;
 use eddy_inference::checkpoint::{
-    Checkpoint, Description, Weights, initial_weights, tensors_of_knot, tensors_of_knots,
+    Checkpoint, Description, Weights, initial_weights, mix, tensors_of_knot, tensors_of_knots,
 };
 
 /// The state of a run between two batches.
@@ -58,18 +56,22 @@ pub(super) fn weights_at_start(
         None => (initial_weights(description, weights), 0),
         Some(start) => (start.tensors.clone(), start.description.stiffness_knots.len()),
     };
-    match description.stiffness_knots.len() {
-        wanted if wanted == knots => tensors,
-        wanted => tensors_of_knots(&vec![tensors; wanted]),
+    match (knots, description.stiffness_knots.len()) {
+        (0, wanted) if wanted > 0 => tensors_of_knots(&vec![tensors; wanted]),
+        // A start with weights for several stiffnesses has those of the settings (`TrainConfig::check_start`).
+        _ => tensors,
     }
 }
+
+/// A network, and the weights for several stiffnesses as in [`RunState::of_knots`].
+pub(super) type NetworkWithKnots = (Network, Vec<Vec<f32>>);
 
 /// The network of a run with these weights, and those for several stiffnesses, if there are some.
 pub(super) fn network(
     description: &Description,
     tensors: &BTreeMap<String, Weights>,
     device: DeviceKind,
-) -> (Network, Vec<Vec<f32>>) {
+) -> NetworkWithKnots {
     let device = device.device().autodiff();
     if description.stiffness_knots.is_empty() {
         return (Network::new(description, tensors, &device), Vec::new());
@@ -194,7 +196,7 @@ impl RunState {
         let tensors = layers.count();
         layers.exchange(|tensor, values| {
             let of_knots = of_knots.iter().skip(tensor).step_by(tensors);
-            knots::mix(values, of_knots.map(Vec::as_slice), shares);
+            mix(values, of_knots.map(Vec::as_slice), shares);
         });
     }
 
@@ -217,5 +219,27 @@ impl RunState {
         let progress = schedule::progress(config, epoch, config.batches());
         let last_stage = schedule::stage(&config.unroll, progress) + 1 == config.unroll.len();
         last_stage && self.since_best >= config.patience
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_inference::checkpoint::Architecture;
+
+    #[test]
+    fn one_set_of_weights_is_the_start_of_those_of_every_stiffness() {
+        let config = TrainConfig::defaults(Architecture::Particle);
+        let start = Checkpoint::shipped().unwrap();
+        let mut description = start.description.clone();
+        description.stiffness_knots = vec![1e3, 1e4, 1e5];
+        let all = weights_at_start(&config, &description, Some(&start));
+        for knot in 0..3 {
+            assert_eq!(tensors_of_knot(&all, knot), start.tensors);
+        }
+        let several = Checkpoint::new(description.clone(), all.clone());
+        assert_eq!(weights_at_start(&config, &description, Some(&several)), all);
+        let random = weights_at_start(&config, &description, None);
+        assert_eq!(tensors_of_knot(&random, 0), tensors_of_knot(&random, 2));
     }
 }

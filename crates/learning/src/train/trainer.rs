@@ -291,8 +291,11 @@ impl Trainer<'_> {
             return Ok(Vec::new());
         }
         let mut sums = CommonSums::new(self.state.unroll, self.config.network.stiffness);
+        // Of all stiffnesses, also if batches are not.
+        let (streams, windows) = (&self.dataset.train, &self.config.windows);
+        let sampler = Sampler::new(streams, windows, self.state.unroll)?;
         for _ in 0..COMMON_WINDOWS / COMMON_GROUP {
-            for window in self.sampler.draw(COMMON_GROUP, &mut self.state.order)? {
+            for window in sampler.draw(COMMON_GROUP, &mut self.state.order)? {
                 sums.add(&window, &self.scale.ballistic);
             }
         }

@@ -38,8 +38,8 @@ pub(super) struct Sampler<'a> {
     order: Vec<usize>,
     /// Number of windows up to and including each stream in that order.
     ends: Vec<usize>,
-    /// Streams that a batch is drawn from; 0 for all of them.
-    of_batch: usize,
+    /// Number of parts of that order, from one of which a batch is drawn: 1 for all streams.
+    parts: usize,
     /// Frames per window.
     frames: usize,
     config: &'a WindowConfig,
@@ -47,8 +47,10 @@ pub(super) struct Sampler<'a> {
     ahead: VecDeque<Window>,
 }
 
-/// Least number of streams that a batch of about one stiffness is drawn from.
-const OF_BATCH: usize = 32;
+/// Least number of streams that a batch of about one stiffness is drawn from, unless there are few.
+const STREAMS_OF_PART: usize = 32;
+/// Least number of parts of about one stiffness, if there are as many streams.
+const PARTS: usize = 8;
 
 /// A stream's stiffness, for their order.
 fn stiffness(stream: &Trajectory) -> f32 {
@@ -87,11 +89,11 @@ impl<'a> Sampler<'a> {
             let found = streams.iter().map(|stream| stream.frames).max().unwrap_or(0);
             return Err(TrainError::TooShort { found, expected: frames, warm_up, unroll });
         }
-        Ok(Self { streams, order, ends, of_batch: 0, frames, config, ahead: VecDeque::new() })
+        Ok(Self { streams, order, ends, parts: 1, frames, config, ahead: VecDeque::new() })
     }
 
-    /// The same, but that all windows of a batch are of streams of about one stiffness: [`OF_BATCH`] of them or more that follow each other
-    /// by their stiffness.
+    /// The same, but that all windows of a batch are of streams of about one stiffness: of [`STREAMS_OF_PART`] or more that follow each
+    /// other in their order by stiffness; of fewer if there would not be [`PARTS`] parts.
     pub(super) fn by_stiffness(self) -> Self {
         let Self { streams, mut order, mut ends, .. } = self;
         let windows = |stream: usize| ends[stream] - if stream == 0 { 0 } else { ends[stream - 1] };
@@ -102,7 +104,8 @@ impl<'a> Sampler<'a> {
             sum += counts[stream];
             *end = sum;
         }
-        Self { order, ends, of_batch: OF_BATCH, ..self }
+        let parts = (order.len() / STREAMS_OF_PART).max(PARTS.min(order.len()));
+        Self { order, ends, parts, ..self }
     }
 
     /// The next batch of `size` windows; at least `left` such batches are still needed.
@@ -142,12 +145,12 @@ impl<'a> Sampler<'a> {
         Ok(windows.into_iter().map(|(_, window)| window).collect())
     }
 
-    /// `count` windows, drawn with replacement, not read.
+    /// `count` windows, drawn with replacement, not read: whole batches of the settings' size, if those are of about one stiffness.
     pub(super) fn choose_many(&self, count: usize, random: &mut ChaCha8Rng) -> Vec<Draw> {
         let mut range = 0..self.ends.last().copied().unwrap_or(0);
         (0..count)
             .map(|number| {
-                if self.of_batch > 0 && number.is_multiple_of(self.config.batch) {
+                if self.parts > 1 && number.is_multiple_of(self.config.batch) {
                     range = self.range_of_batch(random);
                 }
                 let window = random.random_range(range.clone());
@@ -167,9 +170,7 @@ impl<'a> Sampler<'a> {
         let windows = self.ends.last().copied().unwrap_or(0);
         let window = random.random_range(0..windows);
         let place = self.ends.partition_point(|&end| end <= window);
-        // Parts of equal length, as many as there can be.
-        let streams = self.order.len();
-        let parts = (streams / self.of_batch).max(1);
+        let (streams, parts) = (self.order.len(), self.parts);
         let part = place * parts / streams;
         let [first, end] = [part, part + 1].map(|part| (part * streams).div_ceil(parts));
         self.first(first)..self.first(end)
@@ -251,5 +252,57 @@ fn add_noise(state: &State, noise: &NoiseConfig, seed: u64) -> State {
     State {
         position: moved(&state.position, noise.position),
         velocity: moved(&state.velocity, noise.velocity),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::train::TrainConfig;
+    use eddy_evaluation::dataset::Stream;
+    use eddy_frames::{Domain, Stamp};
+    use eddy_inference::checkpoint::Architecture;
+
+    /// Frames of each stream.
+    const FRAMES: usize = 6;
+
+    /// Streams of a particle whose stiffnesses are 1, 2, ... in another order.
+    fn streams(count: usize) -> Vec<Trajectory> {
+        let state = State { position: vec![[0.5; 2]], velocity: vec![[0.0; 2]] };
+        let stream = |id: usize| {
+            Trajectory::from(Stream {
+                id: id as u64,
+                source: "memory".into(),
+                dt: 0.016,
+                domain: Domain::UNIT,
+                material: vec![Material::Jelly],
+                first_sequence: 0,
+                first_stamp: Stamp::default(),
+                stiffness: Some((id * 37 % count + 1) as f32),
+                // One is too short for a window.
+                states: vec![state.clone(); if id == 5 { 2 } else { FRAMES }],
+            })
+        };
+        (0..count).map(stream).collect()
+    }
+
+    #[test]
+    fn a_batch_is_of_about_one_stiffness_and_every_window_is_drawn() {
+        let mut config = TrainConfig::defaults(Architecture::Particle).windows;
+        (config.warm_up, config.batch) = (2, 16);
+        for (count, longest) in [(300, 34), (20, 3)] {
+            let streams = streams(count);
+            let sampler = Sampler::new(&streams, &config, 2).unwrap().by_stiffness();
+            let draws = sampler.choose_many(4096 * 16, &mut ChaCha8Rng::seed_from_u64(1));
+            for batch in draws.chunks(16) {
+                let of_batch = batch.iter().map(|draw| stiffness(&streams[draw.stream]) as usize);
+                let (least, most) = (of_batch.clone().min().unwrap(), of_batch.max().unwrap());
+                assert!(most - least < longest, "{least} to {most} of {count}");
+            }
+            let drawn: BTreeSet<_> = draws.iter().map(|draw| (draw.stream, draw.start)).collect();
+            assert_eq!(drawn.len(), (count - 1) * (FRAMES - 3), "each window");
+        }
     }
 }

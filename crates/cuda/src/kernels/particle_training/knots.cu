@@ -1,6 +1,6 @@
-// Weights for several stiffnesses ("knots"), launched by `training/optimizer.rs`: a step has those in between, by the shares of its
-// schedule.
-// The weights of a step, a weighted mean of the knots', `[knots, n]` in fours. grid ceil(n / 256), block 256
+// Weights for several stiffnesses ("knots"), launched by `training/optimizer.rs`: the weights of a step are their mean, weighted by
+// the shares in its schedule.
+// The weights of a step from those of the knots, `[knots, n]` in fours. grid ceil(n / 256), block 256
 extern "C" __global__ void __launch_bounds__(256) mix_weights(const float4* __restrict__ of_knots, float4* __restrict__ weights, u32 n, int knots, const Schedule* __restrict__ schedule,
     const Progress* __restrict__ progress) {
   const u32 i = blockIdx.x * 256 + threadIdx.x;
@@ -17,8 +17,8 @@ extern "C" __global__ void __launch_bounds__(256) mix_weights(const float4* __re
   }
   weights[i] = sum;
 }
-// What the gradients by the knots' tensors are those by the step's, multiplied by, `[knots, tensors]`. 0, as where a gradient is not
-// finite, leaves a tensor as it is. grid (ceil(tensors / 256), knots), block 256
+// The scale of each knot's gradient, `[knots, tensors]`: that of the step's, which clips it, times the knot's share. A scale of 0, as
+// where a gradient is not finite, leaves a tensor as it is. grid (ceil(tensors / 256), knots), block 256
 extern "C" __global__ void __launch_bounds__(256) share_scales(const float* __restrict__ scales, float* __restrict__ shared, u32 tensors, const Schedule* __restrict__ schedule,
     const Progress* __restrict__ progress) {
   const u32 tensor = blockIdx.x * 256 + threadIdx.x;
