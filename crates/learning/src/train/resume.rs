@@ -291,7 +291,8 @@ fn tensors(
         return Ok((state::network(description, &last.tensors, run.device), optimizer));
     }
     // The checkpoint contains the running average of the weights.
-    let averages = state::in_order(description, &last.tensors, &run.device.device());
+    let device = run.device.device().autodiff();
+    let averages = state::in_order(description, &last.tensors, &device);
     for (moments, average) in optimizer.moments.iter_mut().zip(averages) {
         moments.average = average;
     }
