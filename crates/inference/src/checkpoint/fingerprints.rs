@@ -68,7 +68,7 @@ impl TryFrom<Written> for Fingerprints {
             Written::Packed(text) => text,
         };
         let bytes = BASE64_STANDARD.decode(text);
-        let bytes = bytes.map_err(|error| format!("found {error}, expected base64"))?;
+        let bytes = bytes.map_err(|error| format!("expected base64: {error}"))?;
         let (streams, rest) = bytes.as_chunks();
         if !rest.is_empty() {
             let found = bytes.len();
