@@ -1,6 +1,6 @@
 //! What a network remembers of a stream.
 
-use std::{fmt, sync::Arc};
+use std::sync::Arc;
 
 use super::{DeviceState, order::spatial_order, stepper::Network};
 use crate::{
@@ -33,7 +33,7 @@ pub struct HiddenState {
     /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
     /// The network with the weights for that stiffness, if those of the surrogate depend on it.
-    pub(super) network: Option<OfStiffness>,
+    pub(super) network: Option<Arc<Network>>,
     /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
     /// [`stride`] long. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
@@ -46,16 +46,6 @@ pub struct HiddenState {
     pub(super) begun: bool,
     /// The state on the device that predicts; then `hidden` and `cell` are empty.
     pub(super) device: Option<Box<dyn DeviceState>>,
-}
-
-/// A network for streams of one stiffness.
-#[derive(Clone)]
-pub(super) struct OfStiffness(pub(super) Arc<Network>);
-
-impl fmt::Debug for OfStiffness {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("OfStiffness")
-    }
 }
 
 impl HiddenState {

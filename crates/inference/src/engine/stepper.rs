@@ -5,12 +5,11 @@
 //! once.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
-use std::sync::Arc;
+use std::{fmt, sync::Arc};
 
 use super::{
     Accelerator, DeviceStep, HiddenState, ModelError,
     frame_model::{self, FrameModel},
-    hidden_state::OfStiffness,
     particle_model::{self, ParticleModel},
 };
 use eddy_frames::{Frame, FrameView, Material, Particles, Stamp};
@@ -46,9 +45,15 @@ impl Network {
     }
 }
 
+impl fmt::Debug for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Network")
+    }
+}
+
 /// The network of a stream: that of its stiffness, or the one of all streams.
 fn network_of(hidden: &HiddenState, of_all: &Arc<Network>) -> Arc<Network> {
-    Arc::clone(hidden.network.as_ref().map_or(of_all, |OfStiffness(network)| network))
+    Arc::clone(hidden.network.as_ref().unwrap_or(of_all))
 }
 
 /// Buffers for one frame.

@@ -11,8 +11,7 @@ use pulp::Arch;
 
 use super::{
     Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
-    hidden_state::OfStiffness, particle_model::ParticleModel, scales::stiffness_feature,
-    stepper::Network, warning,
+    particle_model::ParticleModel, scales::stiffness_feature, stepper::Network, warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
@@ -77,7 +76,7 @@ type Pack = dyn Fn(&Checkpoint) -> Result<Network, ModelError> + Send + Sync;
 
 impl ByStiffness {
     /// The network for streams of a stiffness, packed unless another stream has it or had it last.
-    fn network(&self, stiffness: f32) -> Result<OfStiffness, ModelError> {
+    fn network(&self, stiffness: f32) -> Result<Arc<Network>, ModelError> {
         let mut networks = self.networks.lock().unwrap_or_else(PoisonError::into_inner);
         let known = networks.in_use.get(&stiffness.to_bits()).and_then(Weak::upgrade);
         let network = match known {
@@ -87,7 +86,7 @@ impl ByStiffness {
         networks.last = Some(Arc::clone(&network));
         networks.in_use.retain(|_, network| network.strong_count() > 0);
         networks.in_use.insert(stiffness.to_bits(), Arc::downgrade(&network));
-        Ok(OfStiffness(network))
+        Ok(network)
     }
 }
 
@@ -300,7 +299,7 @@ impl Surrogate {
         self.check_stiffness(stiffness)?;
         let own = self.by_stiffness.as_ref().zip(stiffness);
         let own = own.map(|(weights, stiffness)| weights.network(stiffness)).transpose()?;
-        let network = own.as_ref().map_or(&self.network, |OfStiffness(network)| network);
+        let network = own.as_ref().unwrap_or(&self.network);
         let stiffness = stiffness.map(stiffness_feature);
         let hidden = match &**network {
             Network::Device(device) => {

@@ -95,9 +95,9 @@ impl<'a> Sampler<'a> {
     /// The same, but that all windows of a batch are of streams of about one stiffness: of [`STREAMS_OF_PART`] or more that follow each
     /// other in their order by stiffness; of fewer if there would not be [`PARTS`] parts.
     pub(super) fn by_stiffness(self) -> Self {
+        let windows = |stream: usize| self.ends[stream] - self.first(stream);
+        let counts: Vec<usize> = (0..self.streams.len()).map(windows).collect();
         let Self { streams, mut order, mut ends, .. } = self;
-        let windows = |stream: usize| ends[stream] - if stream == 0 { 0 } else { ends[stream - 1] };
-        let counts: Vec<usize> = (0..streams.len()).map(windows).collect();
         order.sort_by(|&a, &b| f32::total_cmp(&stiffness(&streams[a]), &stiffness(&streams[b])));
         let mut sum = 0;
         for (end, &stream) in ends.iter_mut().zip(&order) {
