@@ -18,9 +18,9 @@ const SERIES: [(&str, &str, &[&str]); 6] = [
         &["MPM restarted", "MPM on half the grid", "MPM on a quarter of the grid"],
     ),
     ("MPM with half the substeps", "#e69f00", &["MPM with half the substeps"]),
-    ("NeuralMPM", "#009e73", &["NeuralMPM"]),
-    ("Transolver", "#cc79a7", &["Transolver"]),
-    ("GNS", "#56b4e9", &["GNS"]),
+    ("NeuralMPM: 6 and 16 minutes", "#009e73", &["NeuralMPM", "NeuralMPM, 16 minutes"]),
+    ("Transolver: 6 and 16 minutes", "#cc79a7", &["Transolver", "Transolver, 16 minutes"]),
+    ("GNS: 6 and 16 minutes", "#56b4e9", &["GNS", "GNS, 16 minutes"]),
 ];
 /// Frames ahead, one panel each.
 const PANELS: [&str; 3] = ["1", "20", "100"];
