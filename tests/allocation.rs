@@ -14,8 +14,8 @@ use std::{
 use eddy_frames::{Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, FrameOptions, Pooling, Sizes, Weights,
-        tensor_shapes,
+        Architecture, Checkpoint, Core, Description, ElasticOptions, FrameOptions, GridOptions,
+        Pooling, Sizes, Weights, tensor_shapes,
     },
     engine::Surrogate,
     error_model::ErrorModel,
@@ -71,10 +71,12 @@ fn checkpoint(architecture: Architecture, core: Core, pooling: Pooling) -> Check
     let whole = architecture == Architecture::Frame;
     let sizes =
         Sizes { encoder: 64, hidden: 200, layers: 2, particles: whole.then_some(PARTICLES) };
-    let description = Description {
+    let mut description = Description {
         frame: FrameOptions { pooling, ..FrameOptions::default() },
         ..Description::untrained(architecture, core, sizes)
     };
+    let elastic = |grid: &GridOptions| ElasticOptions::new(300.0, grid.spacing, description.dt);
+    description.elastic = description.grid.as_ref().map(elastic);
     let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
         let length = shape.iter().product();
         let values = (0..length).map(|n| 0.05 * (n as f32).sin()).collect();
@@ -91,7 +93,11 @@ fn calibrated(checkpoint: Checkpoint) -> Checkpoint {
 }
 
 fn frame(description: &Description) -> Frame {
-    let place = |n: usize| [0.1 + n as f32 / (2 * PARTICLES) as f32, 0.5];
+    // Jelly is a block, others lie in a line.
+    let place = |n: usize| match Material::ALL[n % 4] {
+        Material::Jelly => [n / 4 % 14, n / 56].map(|steps| 0.6 + steps as f32 / 128.0),
+        _ => [0.1 + n as f32 / (2 * PARTICLES) as f32, 0.5],
+    };
     Frame {
         stream: 1,
         sequence: 0,

@@ -20,8 +20,9 @@ use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, FrameOutput,
-        GridOptions, MaterialInput, Normalization, Pooling, Sizes, initial_weights,
+        Activation, Architecture, Checkpoint, Core, Description, ElasticOptions, FeatureScaling,
+        Form, FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Sizes,
+        initial_weights,
     },
     engine::Surrogate,
 };

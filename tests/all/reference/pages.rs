@@ -114,6 +114,7 @@ pub fn messages() -> String {
 pub fn checkpoint() -> String {
     let source = Source::of(&[
         "crates/inference/src/checkpoint/description.rs",
+        "crates/inference/src/checkpoint/elastic.rs",
         "crates/inference/src/checkpoint/network.rs",
         "crates/inference/src/checkpoint/rules.rs",
         "crates/frames/src/lib.rs",

@@ -30,6 +30,7 @@ pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
+    include_str!("particle_elastic.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
 );
@@ -39,6 +40,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
+    include_str!("particle_elastic.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
     include_str!("observed.cu"),
@@ -49,6 +51,7 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
+    include_str!("particle_training/elastic.cu"),
     include_str!("particle_training/layers.cu"),
     include_str!("particle_training/particles.cu"),
     include_str!("particle_training/gradients.cu"),
@@ -252,8 +255,12 @@ kernels! {
     ParticleBodiesRest = "particle_bodies_rest",
     /// Predictions, to the memory of the host.
     ParticleStore = "particle_store",
+    /// Elastic impulses of jelly.
+    ParticleElastic = "particle_elastic",
     /// Training of the particle model: observed frames out of the trajectories, with noise.
     TrainObserve = "train_observe",
+    /// Elastic impulses of jelly.
+    TrainElastic = "train_elastic",
     /// Cells and nodes.
     TrainCells = "train_cells",
     /// Features and encoder.

@@ -28,6 +28,7 @@ struct __align__(16) Neighbour {
   float offset[2];
 };
 struct BodySums;
+struct Lattice;
 
 // A stream in a step; n is its number of particles. Lists by cells and nodes have an entry for every cell of the domain's map
 // at that level, lists by nodes are as long as there can be nodes.
@@ -71,6 +72,11 @@ struct Stream {
   u32* parents;                  // [nodes] a node of the same body, in the end the smallest
   u32* numbers;                  // [nodes] of the body with this smallest node
   BodySums* sums;                // [bodies]
+  // The elastic impulses of jelly; null where the stream has none, or the network sees matter as it is.
+  const Lattice* lattice;
+  Body* impulses;                // [n] displacements and changes of velocities
+  Body* lattice_nodes;           // [2, its nodes]
+  float* lattice_forces;         // [its points, 8]
   // The frame.
   u32 particles;
   u32 begun;

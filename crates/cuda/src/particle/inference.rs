@@ -10,6 +10,7 @@
 //! | load | 256 particles | frames in the memory of the host | particles, counts of cells, marks of nodes |
 //! | scan | a map | counts, marks | first slots of cells, numbers of nodes |
 //! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
+//! | elastic | a stream | particles, lattices | impulses of jelly |
 //! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
 //! | layers on nodes | a few nodes | a list | another list |
@@ -30,6 +31,7 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
+    lattice::{ELASTIC_THREADS, Elasticity},
     layout::{Constants, Layout, NODE_THREADS},
     stream::{Memory, RULES, Row, Scales, Size},
 };
@@ -93,6 +95,8 @@ pub struct Inference {
     weights: Buffer,
     /// `struct Rules` of the kernels.
     rules: Buffer,
+    /// `struct Elasticity` of the kernels, if the network sees jelly after an elastic impulse.
+    elasticity: Option<Buffer>,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
     rows: Buffer,
@@ -145,6 +149,7 @@ impl Inference {
             domain: description.domain,
             weights: device.allocate(4 * layout.size)?,
             rules: device.allocate(4 * RULES)?,
+            elasticity: Elasticity::on_device(&*device, description)?,
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
             rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
             zeros: device.allocate(0)?,
@@ -170,7 +175,7 @@ impl Inference {
     }
 
     fn size(&self, memory: &Memory, domain: &Domain) -> Size {
-        Size::new(memory.particles(), domain, &self.scales)
+        Size::new(memory.particles(), memory.lattice(), domain, &self.scales)
     }
 
     /// Makes room for a step of such streams.
@@ -305,6 +310,10 @@ impl Inference {
         self.launch(Kernel::ParticleScan, scan, &[rows])?;
         self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
         self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
+        if let Some(law) = &self.elasticity {
+            let by_stream = Shape::new(1, streams, ELASTIC_THREADS);
+            self.launch(Kernel::ParticleElastic, by_stream, &[rows, law.address().into()])?;
+        }
         let [first, second] = self.layout.encoder.map(weights);
         let encode = by_tile(self.constants.encode_bytes());
         self.launch(Kernel::ParticleEncode, encode, &[rows, first, second])?;
@@ -383,9 +392,9 @@ impl StreamModel for Inference {
     const MOST: usize = MOST_STREAMS;
 
     fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
-        let size = Size::new(stream.material.len(), &stream.domain, &self.scales);
-        self.make_room(&[size])?;
-        Memory::new(Arc::clone(&self.device), &self.constants, stream)
+        let memory = Memory::new(Arc::clone(&self.device), &self.constants, stream)?;
+        self.make_room(&[self.size(&memory, &stream.domain)])?;
+        Ok(memory)
     }
 
     /// As many as have scratch memory that is not too large together.

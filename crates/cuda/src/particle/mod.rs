@@ -7,6 +7,7 @@
 
 pub mod footprint;
 mod inference;
+mod lattice;
 mod layout;
 mod stream;
 mod training;

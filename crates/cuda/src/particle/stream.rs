@@ -14,7 +14,10 @@ use eddy_inference::{
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
 
-use super::layout::Constants;
+use super::{
+    lattice::{DeviceLattice, Placed},
+    layout::Constants,
+};
 use crate::{
     device::{Address, Buffer, Device, Queue},
     error::Result,
@@ -73,6 +76,10 @@ pub(super) struct Row {
     parents: u64,
     numbers: u64,
     sums: u64,
+    lattice: u64,
+    impulses: u64,
+    lattice_nodes: u64,
+    lattice_forces: u64,
     particles: u32,
     begun: u32,
     extent: [u32; 2],
@@ -90,7 +97,7 @@ pub(super) struct Row {
     stiffness: f32,
 }
 
-const _: () = assert!(size_of::<Row>() == 8 * (31 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
+const _: () = assert!(size_of::<Row>() == 8 * (35 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
@@ -168,18 +175,25 @@ pub(super) struct Size {
     /// Whether the rules for shapes and for bodies are on.
     shapes: bool,
     bodies: bool,
+    /// Nodes and points of its lattices; none where nothing has an elastic impulse.
+    lattice: [usize; 2],
 }
 
 impl Size {
     /// Of a stream in a domain.
-    pub(super) fn new(particles: usize, domain: &Domain, scales: &Scales) -> Self {
+    pub(super) fn new(
+        particles: usize,
+        lattice: [usize; 2],
+        domain: &Domain,
+        scales: &Scales,
+    ) -> Self {
         let cells = cells_across(domain, scales.width);
         let extent = map_extent(cells, scales.levels);
         let area = scales.area_width().map_or([0; 2], |width| {
             cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
         });
         let (shapes, bodies) = (scales.rules.shape.is_some(), scales.finds_bodies());
-        Self { particles, levels: scales.levels, extent, area, shapes, bodies }
+        Self { particles, levels: scales.levels, extent, area, shapes, bodies, lattice }
     }
 
     /// Parts of the map of level 0 that the running sums are made of.
@@ -269,6 +283,12 @@ impl Size {
             // Each has at least the nodes of one stencil.
             row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
         }
+        let [nodes, points] = self.lattice;
+        if nodes > 0 {
+            row.impulses = places.next(BODY * n);
+            row.lattice_nodes = places.next(2 * BODY * nodes);
+            row.lattice_forces = places.next(8 * points);
+        }
         places.length
     }
 }
@@ -301,6 +321,8 @@ struct Fixed {
     neighbours: u64,
     /// The feature of the stiffness; 0 where the network is not conditioned on it.
     stiffness: f32,
+    /// `struct Lattice` of the kernels and its lists, with numbers of nodes and points; none if nothing has an elastic impulse.
+    lattice: Option<([Buffer; 2], [usize; 2])>,
 }
 
 /// What is remembered of a stream.
@@ -331,6 +353,11 @@ impl Memory {
         self.particles
     }
 
+    /// Nodes and points of its lattices.
+    pub(super) fn lattice(&self) -> [usize; 2] {
+        self.fixed.lattice.as_ref().map_or([0; 2], |(_, counts)| *counts)
+    }
+
     /// That the coming frame is not the first.
     pub(super) fn begin(&self) {
         self.begun.store(true, Ordering::Relaxed);
@@ -347,7 +374,7 @@ impl Memory {
         host: [Address; 2],
         [zeros, scratch]: [&mut Address; 2],
     ) -> Row {
-        let size = Size::new(self.particles, domain, scales);
+        let size = Size::new(self.particles, self.lattice(), domain, scales);
         let mut row: Row = bytemuck::Zeroable::zeroed();
         *zeros = zeros.plus(size.place_zeros(*zeros, &mut row));
         *scratch = scratch.plus(size.place_scratch(constants, *scratch, &mut row));
@@ -390,6 +417,7 @@ impl Memory {
             area_inside,
             area_walls,
             stiffness: self.fixed.stiffness,
+            lattice: self.fixed.lattice.as_ref().map_or(0, |([table, _], _)| table.address().0),
             ..row
         }
     }
@@ -433,7 +461,7 @@ impl StreamMemory for Memory {
 
 impl Fixed {
     fn new(device: &dyn Device, stream: &StreamStart<'_>) -> Result<Self> {
-        let StreamStart { material, rest, stiffness, .. } = *stream;
+        let StreamStart { material, rest, lattice, stiffness, .. } = *stream;
         let mut numbers: Vec<u32> = vec![0; round_up(material.len().div_ceil(4), LINE)];
         bytemuck::cast_slice_mut(&mut numbers)[..material.len()].copy_from_slice(material);
         let mut places = [0; 3];
@@ -469,6 +497,19 @@ impl Fixed {
         };
         let [first, links, neighbours] = places.map(at);
         let stiffness = stiffness.unwrap_or_default();
-        Ok(Self { first, links, neighbours, stiffness, buffer })
+        let lattice = match lattice.is_empty() {
+            true => None,
+            false => {
+                let mut words = Vec::new();
+                let placed = Placed::append(lattice, &mut words)?;
+                let [table, lists] = [size_of::<DeviceLattice>(), size_of_val(&*words)];
+                let buffers = [device.allocate(table)?, device.allocate(lists)?];
+                let on_device = placed.on_device(buffers[1].address());
+                device.write(&buffers[0], 0, bytemuck::bytes_of(&on_device))?;
+                device.write(&buffers[1], 0, bytemuck::cast_slice(&words))?;
+                Some((buffers, [placed.nodes, placed.points]))
+            }
+        };
+        Ok(Self { first, links, neighbours, stiffness, lattice, buffer })
     }
 }

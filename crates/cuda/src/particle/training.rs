@@ -7,6 +7,7 @@
 //!
 //! | stage | a block has | reads | writes |
 //! |---|---|---|---|
+//! | elastic | a frame of a window | particles, lattices | impulses of jelly |
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
 //! | encode | 16 particles a warp | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
@@ -18,11 +19,12 @@
 //!
 //! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.
 //! 2. `plan`: the memory of a step.
-//! 3. `forward`, `backward`: its phases, with `nodes`: the layers on nodes. `weights`: the gradients by the weights.
+//! 3. `elastic`: impulses of jelly. `forward`, `backward`: its phases, with `nodes`: the layers on nodes. `weights`: the gradients by the weights.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
 mod backward;
+mod elastic;
 mod forward;
 mod layout;
 mod nodes;
@@ -34,6 +36,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::{Description, Weights, tensors_of_knot};
 
+pub(super) use elastic::elastic_bytes;
 pub use layout::TrainingConstants;
 pub use store::{Store, StoreWriter};
 
@@ -47,6 +50,7 @@ use crate::{
     error::{CudaError, Result},
     graphs::Graphs,
     kernels::Kernel,
+    particle::lattice::Elasticity,
     training::{Batch, InTraining, Optimizer, Settings, Tables},
 };
 
@@ -60,6 +64,8 @@ pub struct Training {
     optimizer: Optimizer,
     tables: Tables,
     memory: Memory,
+    /// `struct Elasticity` of the kernels, if the network sees jelly after an elastic impulse.
+    elasticity: Option<Buffer>,
     /// The transposed matrices, which the forward pass reads, and the table of those to transpose.
     transposed: Buffer,
     matrices: Buffer,
@@ -83,6 +89,7 @@ impl Training {
         let constants = TrainingConstants::of(description)?;
         let layout = Layout::new(&constants);
         let tables = Tables::new(&device, settings, true)?;
+        let elasticity = Elasticity::on_device(&*device, description)?;
         let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
         let optimizer = Optimizer::new(&device, &layout.packing, settings)?;
         let transposed = device.allocate(4 * layout.packing.size)?;
@@ -97,6 +104,7 @@ impl Training {
             settings: settings.clone(),
             tables,
             memory,
+            elasticity,
             constants,
             layout,
             store,

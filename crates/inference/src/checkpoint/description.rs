@@ -1,15 +1,16 @@
 //! `model.toml`: network, training data and normalisation.
 
-use std::path::Path;
+use std::{ops::Range, path::Path};
 
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, Rules, VALID_KNOTS,
+    CheckpointError, ElasticOptions, Rules, VALID_KNOTS, elastic,
     fingerprints::Fingerprints,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules, valid_knots,
 };
+use crate::kernels::{lattice::Lattice, rest_shape::RestShape};
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
 
@@ -112,6 +113,9 @@ pub struct Description {
     /// Rules that correct the particle model's predictions; empty in a frame model.
     #[serde(default, skip_serializing_if = "Rules::is_empty")]
     pub rules: Rules,
+    /// Particle model: the elastic impulse of jelly, which the network sees jelly after; absent if jelly moves as other matter does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub elastic: Option<ElasticOptions>,
     /// The domain in training.
     pub domain: Domain,
     /// Statistics of the training data.
@@ -127,6 +131,22 @@ impl Description {
     /// Whether a frame interval (s) is that of the network.
     pub fn has_interval(&self, dt: f32) -> bool {
         (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
+    }
+
+    /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape; empty if the network sees
+    /// matter as it is.
+    pub fn lattice(
+        &self,
+        rest: (&RestShape, Range<usize>),
+        position: &[[f32; 2]],
+        material: &[Material],
+    ) -> Lattice {
+        match (&self.elastic, &self.grid) {
+            (Some(elastic), Some(grid)) => {
+                Lattice::new(rest, position, material, grid.spacing, elastic.cell_width)
+            }
+            _ => Lattice::default(),
+        }
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
@@ -154,6 +174,7 @@ impl Description {
                 spacing: 1.0 / 128.0,
             }),
             rules: Rules::standard(architecture),
+            elastic: None,
             domain: Domain::UNIT,
             normalization: Normalization {
                 minimum: [0.0, 0.0, -1.0, -1.0],
@@ -242,6 +263,8 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             require(description.rules.is_empty(), "rules", &"a table", expected)?;
             let expected = "false for the frame model";
             require(!description.stiffness, "stiffness", &"true", expected)?;
+            let expected = "nothing for the frame model";
+            require(description.elastic.is_none(), "elastic", &"a table", expected)?;
         }
         Architecture::Particle => {
             let expected = "nothing for the particle model";
@@ -262,6 +285,12 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         require(valid, name, &found, GridOptions::CHANNELS)?;
     }
     rules::check(file, &description.rules)?;
+    if let Some(options) = &description.elastic {
+        let expected = "nothing for a network that is conditioned on the stiffness";
+        require(!description.stiffness, "elastic", &"a table", expected)?;
+        let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
+        elastic::check(file, options, spacing, *dt)?;
+    }
     let corners = format!("{:?}, {:?}", domain.lower, domain.upper);
     require(domain.is_valid(), "domain", &corners, "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)

@@ -2,8 +2,8 @@
 //!
 //! A checkpoint is a directory with two files, and a third one if it was calibrated:
 //!
-//! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), and the rules
-//!    that correct its predictions (`rules`).
+//! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), the rules
+//!    that correct its predictions (`rules`), and the elasticity of jelly (`elastic`).
 //! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]` (`[stiffnesses, out,
 //!    in]` if there are some for several stiffnesses), with the names
 //!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
@@ -13,6 +13,7 @@
 //! files so that a crash between any two system calls leaves a complete checkpoint, the old one or the new one.
 
 mod description;
+mod elastic;
 mod error;
 mod files;
 mod fingerprints;
@@ -25,6 +26,7 @@ mod rules;
 
 pub(crate) use description::field;
 pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
+pub use elastic::ElasticOptions;
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};

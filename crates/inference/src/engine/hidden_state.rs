@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{DeviceState, order::spatial_order, stepper::Network};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
-    kernels::rest_shape::RestShape,
+    kernels::{lattice::Lattice, rest_shape::RestShape},
 };
 use eddy_frames::Frame;
 
@@ -15,6 +15,18 @@ const LINE: usize = 16;
 /// Length of a row of hidden states in the particle model.
 pub(super) fn stride(hidden: usize) -> usize {
     hidden.next_multiple_of(LINE)
+}
+
+/// The rest shapes and lattices of a stream that begins with `frame`, in the order of its particles; empty if the described network
+/// does not use them.
+pub(super) fn rest(description: &Description, frame: &Frame) -> (RestShape, Lattice) {
+    let Some(&GridOptions { spacing, .. }) = description.grid.as_ref() else {
+        return Default::default();
+    };
+    let Frame { position, material, .. } = frame;
+    let rest = RestShape::new(position, material, 1, spacing);
+    let lattice = description.lattice((&rest, 0..position.len()), position, material);
+    (rest, lattice)
 }
 
 /// The hidden state of one stream.
@@ -30,6 +42,8 @@ pub struct HiddenState {
     pub(super) material: Vec<u8>,
     /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
     pub(super) rest: Arc<RestShape>,
+    /// The lattices of its jelly, if the network sees it after an elastic impulse; else empty.
+    pub(super) lattice: Arc<Lattice>,
     /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
     /// The network with the weights for that stiffness, if those of the surrogate depend on it.
@@ -53,11 +67,12 @@ impl HiddenState {
     pub(super) fn new(description: &Description, frame: &Frame, stiffness: Option<f32>) -> Self {
         let particles = frame.len();
         let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-        let (mut order, mut rest) = (Vec::new(), RestShape::default());
-        if let Some(&GridOptions { cell_width, spacing, .. }) = description.grid.as_ref() {
+        let mut order = Vec::new();
+        // Built before reordering: the choice among equally distant neighbours must not depend on the order.
+        let (mut rest, mut lattice) = rest(description, frame);
+        if let Some(&GridOptions { cell_width, .. }) = description.grid.as_ref() {
             order = spatial_order(frame, cell_width);
-            // Built before reordering: the choice among equally distant neighbours must not depend on the order.
-            rest = RestShape::new(&frame.position, &frame.material, 1, spacing).permuted(&order);
+            (rest, lattice) = (rest.permuted(&order), lattice.permuted(&order));
             material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
         }
         let hidden = description.sizes.hidden;
@@ -71,6 +86,7 @@ impl HiddenState {
             order: Arc::new(order),
             material,
             rest: Arc::new(rest),
+            lattice: Arc::new(lattice),
             stiffness,
             network: None,
             hidden: vec![0.0; states],
@@ -87,6 +103,7 @@ impl HiddenState {
             order: Arc::default(),
             material,
             rest: Arc::default(),
+            lattice: Arc::default(),
             stiffness: None,
             network: None,
             hidden: Vec::new(),
@@ -120,6 +137,7 @@ impl Clone for HiddenState {
             order: Arc::clone(&self.order),
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
+            lattice: Arc::clone(&self.lattice),
             stiffness: self.stiffness,
             network: self.network.clone(),
             hidden: self.hidden.clone(),
@@ -135,6 +153,7 @@ impl Clone for HiddenState {
             order,
             material,
             rest,
+            lattice,
             stiffness,
             network,
             hidden,
@@ -146,6 +165,7 @@ impl Clone for HiddenState {
         *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
+        *lattice = Arc::clone(&other.lattice);
         *stiffness = other.stiffness;
         network.clone_from(&other.network);
         hidden.clone_from(&other.hidden);
@@ -165,6 +185,8 @@ impl PartialEq for HiddenState {
             order,
             material,
             rest,
+            // Determined by the rest shape.
+            lattice: _,
             stiffness,
             // That of the stiffness.
             network: _,

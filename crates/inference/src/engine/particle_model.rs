@@ -12,6 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
+    elastic::{self, Elastic},
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::Linear,
@@ -51,6 +52,7 @@ pub(super) struct ParticleModel {
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
+    elastic: Option<Elastic>,
     rules: RuleSet,
     /// The stages of a frame, in order.
     pub(super) stages: Vec<Stage>,
@@ -62,6 +64,7 @@ pub(super) struct Scratch {
     grid: grid::Scratch,
     /// Positions and velocities in the order of the hidden state.
     state: [Vec<[f32; 2]>; 2],
+    elastic: elastic::Scratch,
     /// Input of the network, `[block, F, BLOCK]`.
     features: Vec<f32>,
     segments: Segments,
@@ -111,6 +114,7 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
+            elastic: Elastic::new(description),
             stages: stages(&grid, &rules),
             grid,
             rules,
@@ -143,6 +147,7 @@ impl ParticleModel {
         Scratch {
             grid: grid::Scratch::default(),
             state: Default::default(),
+            elastic: elastic::Scratch::default(),
             features: Vec::new(),
             segments: Segments::default(),
             segment_sums: Vec::new(),
@@ -173,15 +178,19 @@ impl ParticleModel {
 
         let Scratch {
             grid,
+            state: [position, velocity],
+            elastic,
             features,
             segments,
             segment_sums,
             ballistic_motion,
             rules,
             buffers,
-            ..
         } = scratch;
-        let Scratch { state: [position, velocity], .. } = scratch;
+        let seen = match &self.elastic {
+            Some(rule) => elastic.apply(rule, hidden_state, &ballistic, (position, velocity)),
+            None => elastic::Seen { velocity, displacement: &[] },
+        };
         let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
@@ -203,7 +212,8 @@ impl ParticleModel {
             width: stride(self.hidden),
             inputs: ParticleInputs {
                 position,
-                velocity,
+                velocity: seen.velocity,
+                displacement: seen.displacement,
                 ballistic,
                 material: &hidden_state.material,
                 rest: &hidden_state.rest,

@@ -11,12 +11,12 @@ use pulp::Arch;
 
 use super::{
     Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
-    particle_model::ParticleModel, scales::stiffness_feature, stepper::Network, warning,
+    hidden_state, particle_model::ParticleModel, scales::stiffness_feature, stepper::Network,
+    warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
     error_model::{ERROR_MODEL_FILE, ErrorModel},
-    kernels::rest_shape::RestShape,
 };
 use eddy_frames::{Domain, Frame, FrameView, Stamp};
 
@@ -304,15 +304,12 @@ impl Surrogate {
         let hidden = match &**network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-                let grid = self.description.grid.as_ref();
-                let rest = grid.map_or_else(RestShape::default, |grid| {
-                    RestShape::new(&frame.position, &frame.material, 1, grid.spacing)
-                });
-                let domain = frame.domain;
+                let (rest, lattice) = hidden_state::rest(&self.description, frame);
                 let state = device.start(&StreamStart {
                     material: &material,
-                    domain,
+                    domain: frame.domain,
                     rest: &rest,
+                    lattice: &lattice,
                     stiffness,
                 })?;
                 HiddenState::on_device(material, state)

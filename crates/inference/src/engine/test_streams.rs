@@ -8,8 +8,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Architecture, Checkpoint, Core, Description, Domain, Frame, GridOptions, Material,
-    Normalization, Sizes, Stamp, Surrogate, initial_weights,
+    Architecture, Checkpoint, Core, Description, Domain, ElasticOptions, Frame, GridOptions,
+    Material, Normalization, Sizes, Stamp, Surrogate, initial_weights,
 };
 
 pub(super) const DT: f32 = 0.016;
@@ -65,6 +65,51 @@ pub(super) fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
             material: material.clone(),
         })
         .collect()
+}
+
+/// The described particle model, which sees jelly after its elastic impulse.
+pub(super) fn elastic(description: &Description) -> Description {
+    let spacing = description.grid.as_ref().unwrap().spacing;
+    let elastic = Some(ElasticOptions::new(300.0, spacing, DT));
+    Description { elastic, ..description.clone() }
+}
+
+/// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that turns in the air and is stretched more and more, and
+/// liquid.
+pub(super) fn jelly(count: u32) -> Vec<Frame> {
+    const SPACING: f32 = 0.02;
+    let block = |corner: [f32; 2]| {
+        (0..14 * 9).map(move |k| {
+            let at = [(k % 14) as f32, (k / 14) as f32];
+            [0, 1].map(|axis| corner[axis] + SPACING * at[axis])
+        })
+    };
+    let rest: Vec<_> = [[0.06, 0.1], [0.5, 0.6], [0.6, 0.1]].into_iter().flat_map(block).collect();
+    let kinds = [Material::Jelly, Material::Jelly, Material::Liquid];
+    let frame = |time: u32| {
+        let (sin, cos) = (0.2 * time as f32).sin_cos();
+        let stretch = 1.0 + 0.03 * time as f32;
+        let turned = |[x, y]: [f32; 2]| {
+            let [x, y] = [stretch * (x - 0.63), y - 0.68];
+            [0.63 + cos * x - sin * y, 0.68 + sin * x + cos * y]
+        };
+        let place = |(row, &x): (usize, &[f32; 2])| match row / 126 {
+            0 => [x[0], x[1] - 0.01 * time as f32],
+            1 => turned(x),
+            _ => x,
+        };
+        Frame {
+            stream: 4,
+            sequence: time.into(),
+            stamp: Stamp(0).advance(DT, time),
+            dt: DT,
+            domain: Domain::UNIT,
+            position: rest.iter().enumerate().map(place).collect(),
+            velocity: rest.iter().map(|[x, y]| [0.5 * y, -1.5 - x]).collect(),
+            material: kinds.iter().flat_map(|&kind| [kind; 126]).collect(),
+        }
+    };
+    (0..count).map(frame).collect()
 }
 
 pub(super) fn largest_difference(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {

@@ -12,15 +12,16 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, FrameOptions, GridOptions, Normalization,
-        Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
+        Architecture, Checkpoint, Core, Description, ElasticOptions, FrameOptions, GridOptions,
+        Normalization, Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
         tensors_of_knots,
     },
     kernels::rest_shape::RestShape,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use streams::{
-    DT, checkpoint, description, frames, instruction_sets, largest_difference, predict, threads,
+    DT, checkpoint, description, elastic, frames, instruction_sets, jelly, largest_difference,
+    predict, threads,
 };
 
 /// A falling block of jelly and a heap of snow that hardly moves, each of more particles than one item of the thread pool.
@@ -526,4 +527,28 @@ fn particles_outside_the_domain_neither_stop_the_engine_nor_stay_outside() {
             assert!(frame.position.iter().all(inside), "{place:?}");
         }
     }
+}
+
+#[test]
+fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_move_jelly_only() {
+    let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
+    let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);
+    let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };
+    let frames = jelly(3);
+    let with = |checkpoint: &Checkpoint, number: usize| {
+        predict(&Surrogate::load(checkpoint, threads(number)).unwrap(), &frames)
+    };
+    let found = with(&checkpoint, 1);
+    assert_eq!(found, with(&checkpoint, 3));
+    assert_ne!(found, with(&plain, 1));
+    // Without jelly, the table changes nothing.
+    let liquid = frames
+        .iter()
+        .cloned()
+        .map(|frame| Frame { material: vec![Material::Liquid; frame.len()], ..frame });
+    let liquid: Vec<_> = liquid.collect();
+    let of = |checkpoint: &Checkpoint| {
+        predict(&Surrogate::load(checkpoint, threads(1)).unwrap(), &liquid)
+    };
+    assert_eq!(of(&checkpoint), of(&plain));
 }

@@ -16,18 +16,20 @@
 //! 6. [`minimal`]: minGRU and minLSTM over all frames, from the outputs of their linear layers.
 //! 7. [`gru`], [`lstm`]: frame by frame, with [`packed`] recurrent weights.
 //!
-//! The sparse grid and the rest shape, for both:
+//! The sparse grid, the rest shape and elasticity, for both:
 //!
 //! 8. [`nodes`]: the nodes that particles touch, at two to four cell widths.
 //! 9. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
 //! 10. [`gathered`]: convolutions on nodes.
 //! 11. [`rest_shape`]: strain and bend of jelly and rope.
-//! 12. [`spacing`]: the distance between neighbouring particles.
+//! 12. [`lattice`]: the elastic impulse of jelly.
+//! 13. [`spacing`]: the distance between neighbouring particles.
 
 pub mod activation;
 pub mod encoder;
 pub mod gathered;
 pub mod gru;
+pub mod lattice;
 pub mod linear;
 pub mod lstm;
 pub mod math;

@@ -11,15 +11,15 @@ use super::{DeviceKind, Reference};
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form,
-        FrameOptions, FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Rule, Rules,
-        Sizes, initial_weights,
+        Activation, Architecture, Checkpoint, Core, Description, ElasticOptions, FeatureScaling,
+        Form, FrameOptions, FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Rule,
+        Rules, Sizes, initial_weights,
     },
     engine::{Surrogate, scales::velocity_unit},
 };
 use streams::{
-    DT, checkpoint, description, frames, instruction_sets, largest_difference, predict, stiffness,
-    threads,
+    DT, checkpoint, description, elastic, frames, instruction_sets, jelly, largest_difference,
+    predict, stiffness, threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -200,5 +200,29 @@ fn every_rule_changes_a_scene_made_for_it_as_it_does_in_burn() {
     for (frame, found) in frames.iter().zip(&corrected) {
         let expected = reference.step(&mut memory, frame);
         check(found, &expected, &hovering(Rules::STANDARD).description).unwrap();
+    }
+}
+
+#[test]
+fn jelly_has_the_elastic_impulse_that_it_has_in_burn() {
+    let plain = hovering(Rules::default());
+    let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };
+    let frames = jelly(4);
+    let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
+    let mut memory = reference.start(&frames[0], None);
+    let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
+    let without = predict(&Surrogate::load(&plain, threads(1)).unwrap(), &frames);
+    for set in instruction_sets() {
+        let surrogate = Surrogate::load_for(&checkpoint, threads(2), set).unwrap();
+        for (found, expected) in predict(&surrogate, &frames).iter().zip(&expected) {
+            check(found, expected, &checkpoint.description).unwrap();
+        }
+    }
+    // Of the bodies, the third is liquid.
+    for (body, moves) in [(0, true), (1, true), (2, false)] {
+        let rows = 126 * body..126 * (body + 1);
+        let of = |frame: &Frame| frame.velocity[rows.clone()].to_vec();
+        let difference = largest_difference(&of(&expected[3]), &of(&without[3]));
+        assert_eq!(difference > 0.3, moves, "body {body}: {difference}");
     }
 }

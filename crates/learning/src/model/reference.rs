@@ -12,7 +12,7 @@ use super::{
 };
 use eddy_frames::Frame;
 use eddy_inference::{
-    checkpoint::{Checkpoint, CheckpointError, Description, GridOptions},
+    checkpoint::{Checkpoint, CheckpointError, Description},
     engine::Corrector,
 };
 
@@ -21,11 +21,7 @@ pub struct Reference {
     network: Network,
     corrector: Corrector,
     device: DeviceKind,
-    grid: Option<GridOptions>,
-    /// Whether the network is conditioned on the stiffness.
-    stiffness: bool,
-    /// Time between two frames (s).
-    dt: f32,
+    description: Description,
 }
 
 /// The hidden state of one stream.
@@ -44,8 +40,7 @@ impl Reference {
         checkpoint.check("checkpoint".as_ref())?;
         let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
         let corrector = Corrector::new(&checkpoint.description);
-        let Description { ref grid, stiffness, dt, .. } = checkpoint.description;
-        Ok(Self { network, corrector, device, grid: grid.clone(), stiffness, dt })
+        Ok(Self { network, corrector, device, description: checkpoint.description.clone() })
     }
 
     /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed to
@@ -57,14 +52,13 @@ impl Reference {
     pub fn start(&self, frame: &Frame, stiffness: Option<f32>) -> HiddenState {
         assert_eq!(
             stiffness.is_some(),
-            self.stiffness,
+            self.description.stiffness,
             "a stiffness for a network that is conditioned on it"
         );
-        let grid = self.grid.as_ref();
+        let Frame { material, position, .. } = frame;
         let device = self.device.device();
         let stiffness = stiffness.as_ref().map(std::slice::from_ref);
-        let fixed =
-            StaticInputs::new(&frame.material, &frame.position, 1, stiffness, grid, &device);
+        let fixed = StaticInputs::new(&self.description, material, position, 1, stiffness, &device);
         HiddenState { recurrent: RecurrentState::default(), fixed }
     }
 
@@ -85,7 +79,7 @@ impl Reference {
         let mut next = Frame {
             stream: frame.stream,
             sequence: frame.sequence + 1,
-            stamp: frame.stamp.advance(self.dt, 1),
+            stamp: frame.stamp.advance(self.description.dt, 1),
             dt: frame.dt,
             domain: frame.domain,
             position: pairs(next.position),

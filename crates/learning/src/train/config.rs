@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::TrainError;
 use eddy_inference::checkpoint::{
-    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
-    MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat, valid_knots,
+    Activation, Architecture, Core, ElasticOptions, FeatureScaling, Form, FrameOptions,
+    FrameOutput, GridOptions, MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat,
+    valid_knots,
 };
 
 /// Width of layers up to which Muon runs on every supported GPU.
@@ -88,6 +89,10 @@ pub struct NetworkConfig {
     /// their own; a stream's are interpolated in the logarithm of its stiffness. Each batch is of about one stiffness then.
     #[serde(default)]
     pub stiffness_knots: Vec<f32>,
+    /// Particle model that is not conditioned on the stiffness: Young's modulus of jelly (density x velocity^2), 300 in scenes of E = 1e3,
+    /// to compute jelly's own elastic impulse, after which the network sees it; 0: none.
+    #[serde(default)]
+    pub elastic_modulus: f32,
     /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
     #[serde(default)]
     pub weights: WeightFormat,
@@ -283,6 +288,12 @@ impl TrainConfig {
         })
     }
 
+    /// The particle model's elastic impulse of jelly, for particles with this spacing (domain lengths) and frames of `dt` seconds.
+    pub(super) fn elastic(&self, spacing: f32, dt: f32) -> Option<ElasticOptions> {
+        let modulus = self.network.elastic_modulus;
+        (modulus > 0.0).then(|| ElasticOptions::new(modulus, spacing, dt))
+    }
+
     /// Batches per epoch.
     pub fn batches(&self) -> usize {
         self.windows.per_epoch.div_ceil(self.windows.batch.max(1))
@@ -338,6 +349,11 @@ impl TrainConfig {
         require("network.stiffness_knots", format!("{knots:?}"), valid, VALID_KNOTS)?;
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
+        let modulus = self.network.elastic_modulus;
+        let particle = self.architecture == Architecture::Particle && !self.network.stiffness;
+        let valid = modulus == 0.0 || (modulus > 0.0 && modulus.is_finite() && particle);
+        let expected = "0 or more; 0 for the frame model and with network.stiffness";
+        require("network.elastic_modulus", modulus, valid, expected)?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
         require("network.form", "log", valid, "plain: only minGRU and minLSTM have both")?;
         let valid = self.network.normalize_gates || self.core == Core::MinLstm;

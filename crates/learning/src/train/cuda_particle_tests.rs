@@ -33,6 +33,7 @@ use eddy_inference::{
         tensors_of_knots,
     },
     engine::{Ballistic, Surrogate},
+    kernels::{lattice::Lattice, rest_shape::RestShape},
 };
 
 /// Distance between particles at rest (domain lengths).
@@ -118,6 +119,7 @@ pub(super) fn description(config: &TrainConfig) -> Description {
     description.normalize_gates = config.network.normalize_gates;
     description.stiffness = config.network.stiffness;
     description.stiffness_knots = config.network.stiffness_knots.clone();
+    description.elastic = config.elastic(SPACING, description.dt);
     description.gravity = config.gravity;
     description.warm_up = config.windows.warm_up as u32;
     description
@@ -156,7 +158,7 @@ fn training_on(
     streams: &[Trajectory],
 ) -> Training {
     let device: Arc<dyn Device> = Arc::new(device);
-    let store = cuda::particle_store(&*device, streams, SPACING).unwrap();
+    let store = cuda::particle_store(&*device, description, streams).unwrap();
     let settings = cuda::settings(config, config.unroll[0].frames, device.rank().count);
     let training = Training::new(device, Arc::new(store), description, &settings).unwrap();
     training.set_weights(&weights(description, SEED)).unwrap();
@@ -287,6 +289,23 @@ fn a_network_conditioned_on_the_stiffness_of_each_stream_takes_the_steps_of_the_
     let mut config = config(Core::MinGru);
     config.network.stiffness = true;
     compare(&config, &streams());
+}
+
+/// Jelly that the floor pushes.
+#[test]
+fn a_network_that_sees_jelly_after_its_elastic_impulse_takes_the_steps_of_the_cpu() {
+    let mut config = config(Core::MinGru);
+    config.network.elastic_modulus = 300.0;
+    let streams = streams_of([[9, 3], [3, 4]]);
+    let Trajectory { ref rest, ref material, dt, .. } = streams[0];
+    let cell_width = config.elastic(SPACING, dt).unwrap().cell_width;
+    let shape = RestShape::new(rest, material, 1, SPACING);
+    let lattice = Lattice::new((&shape, 0..rest.len()), rest, material, SPACING, cell_width);
+    assert_eq!(lattice.rows().len(), 81, "particles of the jelly");
+    let lowest = rest.iter().fold(f32::MAX, |low, [_, y]| low.min(*y));
+    let elastic = config.elastic(SPACING, dt).unwrap();
+    assert!(lowest < elastic.walls(&Ballistic::new(&description(&config)), SPACING).lower[1]);
+    compare(&config, &streams);
 }
 
 #[test]

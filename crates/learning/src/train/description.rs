@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::{TrainConfig, TrainError, record::different_setting};
+use super::{TrainConfig, TrainError, config::setting, record::different_setting};
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
@@ -33,6 +33,12 @@ pub(super) fn describe(
     let streams = splits.into_iter().flatten();
     let materials: BTreeSet<Material> =
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
+    let elastic = config.elastic(dataset.spacing, first.dt);
+    if elastic.is_some_and(|elastic| !elastic.is_stable(dataset.spacing, first.dt)) {
+        let modulus = config.network.elastic_modulus;
+        let expected = "a modulus whose pressure waves cross at most 256 elements a frame";
+        return Err(setting("network.elastic_modulus", modulus, expected));
+    }
     Ok(Description {
         format_version: FORMAT_VERSION,
         architecture: config.architecture,
@@ -52,6 +58,7 @@ pub(super) fn describe(
         frame: config.network.frame,
         grid: config.grid(dataset.spacing),
         rules: Rules::standard(config.architecture),
+        elastic,
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {
@@ -114,6 +121,8 @@ pub(super) fn start_from(
     description.training.start = Some(digest);
     description.normalization = start.normalization.clone();
     description.rules = start.rules;
+    // The first training with the impulse may start from a network without it.
+    description.elastic = start.elastic.or(description.elastic);
     let materials = description.materials.iter().chain(&start.materials).copied();
     description.materials = materials.collect::<BTreeSet<_>>().into_iter().collect();
     let seen = description.training.seen.iter().chain(start.training.seen.iter());

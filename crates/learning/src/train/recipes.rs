@@ -230,6 +230,10 @@ impl NetworkConfig {
                 [] => self.stiffness_knots.clone(),
                 knots => knots.to_vec(),
             },
+            elastic_modulus: match network.elastic {
+                None => self.elastic_modulus,
+                Some(elastic) => elastic.modulus,
+            },
             weights: self.weights,
         }
     }
@@ -248,6 +252,7 @@ impl NetworkConfig {
             channels: vec![24, 32, 48, 64],
             stiffness: false,
             stiffness_knots: Vec::new(),
+            elastic_modulus: 0.0,
             weights: WeightFormat::default(),
         }
     }

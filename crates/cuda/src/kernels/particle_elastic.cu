@@ -1,0 +1,211 @@
+// The elastic impulse of jelly, after which the network sees it (`kernels/lattice` of eddy-inference).
+
+// A particle or a node, and its weight.
+struct LatticeShare { u32 index; float weight; };
+// First node and number of nodes of a body, and where its matrix begins.
+struct LatticeBody { u32 first, count, inverse; };
+// A quadrature point: the nodes of its element, their shape functions and gradients, its particles.
+struct LatticePoint {
+  u32 nodes[4];
+  float weights[4];
+  float gradients[4][2];
+  float particles, width;
+};
+// The lattices of a stream's bodies.
+struct Lattice {
+  const u32* rows;             // particle
+  const LatticeShare* corners; // [particles, 4] the nodes of its element
+  const u32* sample_first;     // [nodes + 1] first sample of each node
+  const LatticeShare* samples; // the particles that have the node, and its shape functions there
+  const LatticeBody* bodies;   // of each node
+  const float* inverse;        // of the matrix of each body's fit, [nodes, nodes]
+  const float* inverse_mass;   // of each node, in units of a particle's mass
+  const u32* incident_first;   // [nodes + 1] first corner of each node
+  const u32* incident;         // 4 point + corner
+  const LatticePoint* points;
+  u32 particle_count, node_count, point_count, unused;
+};
+// The law: Lame parameters, viscosity, distance from walls within which they push bodies away (domain lengths), stiffness of the push and
+// its share of a body that moves away, steps per frame.
+struct Elasticity { float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound; int steps; u32 unused; };
+#define ELASTIC_THREADS 256
+// Largest change of a node's velocity, stretch from which on a point has no stress: `FASTEST`, `TORN` of eddy-inference.
+#define FASTEST 64.0f
+#define TORN 1.6f
+
+// What the network sees of a particle, and what the impulse adds to its position after the ballistic step. There are no impulses
+// where the network sees matter as it is.
+template <class S> __device__ __forceinline__ Body seen_body(const S& s, size_t row, Body body) {
+  if (s.impulses)
+#pragma unroll
+    for (int a = 0; a < 2; a++) body.v[a] += s.impulses[row].v[a];
+  return body;
+}
+template <class S> __device__ __forceinline__ float elastic_displacement(const S& s, size_t row, int axis) {
+  return s.impulses ? s.impulses[row].x[axis] : 0.0f;
+}
+
+// The forces of a point on its nodes, in units of a particle's mass: of its stress, and of the walls.
+__device__ __forceinline__ void point_forces(const Elasticity& law, const float* lower, const float* upper, const LatticePoint& point,
+    const Body* nodes, const float* fall, float* forces) {
+  float f[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, rate[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, place[2] = {0.0f, 0.0f}, velocity[2] = {fall[0], fall[1]};
+#pragma unroll
+  for (int corner = 0; corner < 4; corner++) {
+    const Body node = nodes[point.nodes[corner]];
+#pragma unroll
+    for (int row = 0; row < 2; row++) {
+#pragma unroll
+      for (int column = 0; column < 2; column++) {
+        f[row][column] += node.x[row] * point.gradients[corner][column];
+        rate[row][column] += node.v[row] * point.gradients[corner][column];
+      }
+      place[row] += point.weights[corner] * node.x[row];
+      velocity[row] += point.weights[corner] * node.v[row];
+    }
+  }
+  // The rotation R of the polar decomposition; the sum and the difference of the stretches.
+  float cosine = f[0][0] + f[1][1], sine = f[1][0] - f[0][1];
+  const float length = fmaxf(sqrtf(cosine * cosine + sine * sine), 1e-12f), apart = 2.0f * TORN - length;
+  const float across = f[0][0] - f[1][1], along = f[1][0] + f[0][1];
+  const float area = apart < 0.0f || across * across + along * along > apart * apart ? 0.0f : point.particles;
+  cosine /= length;
+  sine /= length;
+  const float modulus = law.lambda + 2.0f * law.mu, twice = 2.0f * law.mu, viscous = 0.5f * law.viscosity * sqrtf(modulus) * point.width;
+  const float volumetric = law.lambda * (f[0][0] * f[1][1] - f[0][1] * f[1][0] - 1.0f);
+  // The rate of strain, 1/2 (F' R^T + R F'^T), times R: 1/2 (F' + R F'^T R).
+  const float turned[2][2] = {{cosine * rate[0][0] - sine * rate[0][1], cosine * rate[1][0] - sine * rate[1][1]},
+                              {sine * rate[0][0] + cosine * rate[0][1], sine * rate[1][0] + cosine * rate[1][1]}};
+#pragma unroll
+  for (int row = 0; row < 2; row++) {
+    rate[row][0] += turned[row][0] * cosine + turned[row][1] * sine;
+    rate[row][1] += turned[row][1] * cosine - turned[row][0] * sine;
+  }
+  const float stress[2][2] = {{twice * (f[0][0] - cosine) + volumetric * f[1][1] + viscous * rate[0][0],
+                               twice * (f[0][1] + sine) - volumetric * f[1][0] + viscous * rate[0][1]},
+                              {twice * (f[1][0] - sine) - volumetric * f[0][1] + viscous * rate[1][0],
+                               twice * (f[1][1] - cosine) + volumetric * f[0][0] + viscous * rate[1][1]}};
+  const float spring = law.wall_stiffness * modulus / (point.width * point.width) * point.particles;
+#pragma unroll
+  for (int a = 0; a < 2; a++) {
+    const float depth = fmaxf(lower[a] - place[a], 0.0f) - fmaxf(place[a] - upper[a], 0.0f);
+    const float push = spring * (depth * velocity[a] > 0.0f ? law.rebound : 1.0f) * depth;
+#pragma unroll
+    for (int corner = 0; corner < 4; corner++)
+      forces[2 * corner + a] =
+          point.weights[corner] * push - area * (stress[a][0] * point.gradients[corner][0] + stress[a][1] * point.gradients[corner][1]);
+  }
+}
+
+// Adds a multiple of a body's position and velocity.
+__device__ __forceinline__ void add_scaled(Body& sum, float factor, const Body& other) {
+#pragma unroll
+  for (int a = 0; a < 2; a++) {
+    sum.x[a] += factor * other.x[a];
+    sum.v[a] += factor * other.v[a];
+  }
+}
+__device__ __forceinline__ Body zero_body() {
+  Body body;
+#pragma unroll
+  for (int a = 0; a < 2; a++) body.x[a] = body.v[a] = 0.0f;
+  return body;
+}
+// The sum over a node's particles, weighted with their shape functions.
+__device__ __forceinline__ Body particle_sum(const Lattice& l, u32 node, const Body* bodies) {
+  Body sum = zero_body();
+  for (u32 k = l.sample_first[node]; k < l.sample_first[node + 1]; k++) add_scaled(sum, l.samples[k].weight, bodies[l.samples[k].index]);
+  return sum;
+}
+
+// The impulses of n particles by a block of ELASTIC_THREADS: x is added to the position after the ballistic step, v to the velocity
+// before. `s` has walls (domain lengths), fall (domain lengths per second) and dt (s); `now` and `start` have room for the nodes, `forces` for 8 numbers a point.
+template <class S> __device__ __forceinline__ void elastic_impulses(const Lattice& l, const Elasticity& law, const S& s, u32 n, const Body* bodies,
+    Body* impulses, Body* now, Body* start, float* forces) {
+  const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count;
+  for (u32 p = threadIdx.x; p < n; p += ELASTIC_THREADS) impulses[p] = zero_body();
+  // The least-squares fit to the particles: means first, and then what the particles differ by.
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    Body mean = zero_body();
+    add_scaled(mean, l.inverse_mass[node], particle_sum(l, node, bodies));
+    start[node] = mean;
+  }
+  __syncthreads();
+  for (u32 k = threadIdx.x; k < particles; k += ELASTIC_THREADS) {
+    Body residual = bodies[l.rows[k]];
+#pragma unroll
+    for (int corner = 0; corner < 4; corner++) add_scaled(residual, -l.corners[4 * k + corner].weight, start[l.corners[4 * k + corner].index]);
+    impulses[l.rows[k]] = residual;
+  }
+  __syncthreads();
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) now[node] = particle_sum(l, node, impulses);
+  __syncthreads();
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    const LatticeBody body = l.bodies[node];
+    const float* inverse = l.inverse + body.inverse + (node - body.first);
+    Body sum = start[node];
+    for (u32 k = 0; k < body.count; k++) add_scaled(sum, inverse[(size_t)k * body.count], now[body.first + k]);
+    start[node] = sum;
+  }
+  __syncthreads();
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) now[node] = start[node];
+  __syncthreads();
+  const float step = s.dt / (float)law.steps, fall[2] = {s.fall[0] / (float)law.steps, s.fall[1] / (float)law.steps};
+  const float lower[2] = {s.wall_lower[0] + law.wall_distance, s.wall_lower[1] + law.wall_distance};
+  const float upper[2] = {s.wall_upper[0] - law.wall_distance, s.wall_upper[1] - law.wall_distance};
+  for (int k = 0; k < law.steps; k++) {
+    for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS)
+      point_forces(law, lower, upper, l.points[point], now, fall, forces + 8 * point);
+    __syncthreads();
+    for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+      float force[2] = {0.0f, 0.0f};
+      for (u32 i = l.incident_first[node]; i < l.incident_first[node + 1]; i++) {
+        force[0] += forces[2 * l.incident[i]];
+        force[1] += forces[2 * l.incident[i] + 1];
+      }
+      Body own = now[node];
+#pragma unroll
+      for (int a = 0; a < 2; a++) {
+        own.v[a] += step * force[a] * l.inverse_mass[node] + fall[a];
+        own.x[a] += step * own.v[a];
+      }
+      now[node] = own;
+    }
+    __syncthreads();
+  }
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    const Body from = start[node], to = now[node];
+    Body impulse;
+#pragma unroll
+    for (int a = 0; a < 2; a++) {
+      const float change = to.v[a] - from.v[a] - s.fall[a];
+      impulse.v[a] = change;
+      impulse.x[a] = to.x[a] - from.x[a] - (from.v[a] + change + 0.5f * s.fall[a]) * s.dt;
+    }
+    start[node] = impulse;
+  }
+  __syncthreads();
+  // A body whose lattice has diverged gets none.
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    const LatticeBody body = l.bodies[node];
+    bool converged = true;
+    for (u32 k = body.first; k < body.first + body.count; k++)
+#pragma unroll
+      for (int a = 0; a < 2; a++) converged = converged && fabsf(start[k].v[a]) <= FASTEST;
+    now[node] = converged ? start[node] : zero_body();
+  }
+  __syncthreads();
+  for (u32 k = threadIdx.x; k < particles; k += ELASTIC_THREADS) {
+    Body impulse = zero_body();
+#pragma unroll
+    for (int corner = 0; corner < 4; corner++) add_scaled(impulse, l.corners[4 * k + corner].weight, now[l.corners[4 * k + corner].index]);
+    impulses[l.rows[k]] = impulse;
+  }
+}
+
+// The impulses of the streams that have jelly. grid (1, B), block ELASTIC_THREADS
+extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) particle_elastic(const Stream* __restrict__ streams, const Elasticity* __restrict__ law) {
+  const Stream& s = streams[blockIdx.y];
+  if (!s.lattice) return;
+  const Lattice& l = *s.lattice;
+  elastic_impulses(l, *law, s, s.particles, s.bodies, s.impulses, s.lattice_nodes, s.lattice_nodes + l.node_count, s.lattice_forces);
+}
