@@ -1,0 +1,149 @@
+"""The elastic impulse of jelly in PyTorch: bilinear elements on a lattice for each body, fitted to its particles by least squares.
+
+It follows the description in eddy's documentation and `[elastic]` of `model.toml`, with dense matrices where eddy has sparse ones.
+"""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_core import Bodies
+
+# Particles of a body at least, share of a full element's particles that fills an element, mass of a node at least (full elements).
+FEWEST, FILLED, LIGHTEST = 16, 0.4, 0.1
+# Distance of connected particles (spacings); stretch from which on a point has no stress; largest change of a node's velocity, with a
+# larger one there is none.
+CONNECTED, TORN, FASTEST = 1.5, 1.6, 64.0
+CORNERS = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]])
+
+
+class Lattice:
+    """The lattice of a body: M nodes, Q points, P particles."""
+
+    def __init__(self, rest: Tensor, spacing: float, options: dict[str, Any]) -> None:
+        low, high = rest.amin(0) - spacing / 2, rest.amax(0) + spacing / 2
+        size = options["cell_width"] * spacing
+        self.cells = ((high - low) / size + 1e-6).floor().long().clamp(min=1)
+        self.corner, self.width = low, (high - low) / self.cells
+        full = float(self.width.prod()) / spacing**2
+
+        own = self.part(rest, 1)
+        counts = torch.zeros(*self.cells.tolist())
+        counts.index_put_((own[:, 0], own[:, 1]), torch.ones(len(rest)), accumulate=True)
+        elements = torch.cartesian_prod(*(torch.arange(count) for count in self.cells.tolist())).view(-1, 2)
+        # Rows of elements one after the other: of equally near ones the first is taken.
+        elements = elements[(elements[:, 1] * self.cells[0] + elements[:, 0]).argsort()]
+        filled = counts[elements[:, 0], elements[:, 1]] >= FILLED * full
+        steps = elements.unsqueeze(1) - elements
+        apart = (steps * self.width).square().sum(-1)
+        near = (steps.abs().amax(-1) <= 1) & filled
+        nearest = apart.masked_fill(~near, torch.inf).argmin(1)
+        home = torch.where(near.any(1).unsqueeze(1), elements[nearest], elements)
+        self.home = torch.zeros(*self.cells.tolist(), 2, dtype=torch.long)  # the element that each one's particles belong to
+        self.home[elements[:, 0], elements[:, 1]] = home
+
+        self.values, _ = self.shape(rest)  # [P, all nodes]
+        used = self.values.abs().sum(0) > 0
+        grids = home[counts[elements[:, 0], elements[:, 1]] > 0].unsqueeze(1) + CORNERS
+        used[(grids[..., 1] * (self.cells[0] + 1) + grids[..., 0]).flatten()] = True
+        self.values = self.values[:, used]
+        self.mass = self.values.sum(0).clamp(min=LIGHTEST * full)
+        quarters, self.count = self.part(rest, 2).unique(dim=0, return_counts=True)
+        self.weights, self.gradients = self.shape(self.corner + (quarters + 0.5) * self.width / 2)
+        self.weights, self.gradients = self.weights[:, used], self.gradients[:, used]  # [Q, M], [Q, M, 2]
+
+    def part(self, place: Tensor, parts: int) -> Tensor:
+        at = ((place - self.corner) / self.width * parts).floor().long()
+        return at.clamp(min=0).minimum(parts * self.cells - 1)
+
+    def shape(self, place: Tensor) -> tuple[Tensor, Tensor]:
+        """Shape functions of all nodes at some places, and their gradients."""
+        own = self.part(place, 1)
+        element = self.home[own[:, 0], own[:, 1]]
+        within = (place - self.corner) / self.width - element
+        nodes = int((self.cells + 1).prod())
+        values, gradients = place.new_zeros(len(place), nodes), place.new_zeros(len(place), nodes, 2)
+        rows = torch.arange(len(place))
+        for corner in CORNERS:
+            grid = element + corner
+            node = grid[:, 1] * (self.cells[0] + 1) + grid[:, 0]
+            part = torch.where(corner == 1, within, 1 - within)
+            values[rows, node] = part.prod(1)
+            gradients[rows, node] = torch.where(corner == 1, 1.0, -1.0) * part.flip(1) / self.width
+        return values, gradients
+
+    def impulse(self, position: Tensor, velocity: Tensor, law: "Elastic") -> tuple[Tensor, Tensor]:
+        """What to add to the velocities before a frame and to the positions after it, [P, 2] each."""
+        fit = torch.linalg.lstsq(self.values, torch.cat([position, velocity], 1)).solution
+        x, v = fit.split(2, 1)
+        x0, v0, step = x, v, law.dt / law.steps
+        for _ in range(law.steps):
+            f = torch.einsum("mi,qmj->qij", x, self.gradients)
+            cos, sin = f[:, 0, 0] + f[:, 1, 1], f[:, 1, 0] - f[:, 0, 1]
+            length = (cos.square() + sin.square()).sqrt().clamp(min=1e-12)
+            cos, sin = cos / length, sin / length
+            turn = torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
+            cofactor = torch.stack([f[:, 1, 1], -f[:, 1, 0], -f[:, 0, 1], f[:, 0, 0]], -1).view(-1, 2, 2)
+            rate = torch.einsum("mi,qmj->qij", v, self.gradients)
+            strain = rate @ turn.mT
+            strain = (strain + strain.mT) / 2
+            stress = law.viscosity * math.sqrt(law.modulus) * self.width.mean() * strain @ turn
+            stress = stress + 2 * law.mu * (f - turn) + law.lam * (torch.linalg.det(f) - 1)[:, None, None] * cofactor
+            whole = self.count * (torch.linalg.svdvals(f)[:, 0] <= TORN)
+            force = -torch.einsum("q,qij,qmj->mi", whole.to(x), stress, self.gradients)
+            place, speed = self.weights @ x, self.weights @ v + law.gravity * step
+            depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
+            share = torch.where(depth * speed > 0, law.rebound, 1.0)
+            push = law.wall_stiffness * law.modulus / self.width.mean() ** 2 * share * depth * self.count.unsqueeze(1)
+            force = force + self.weights.T @ push
+            v = v + step * (force / self.mass.unsqueeze(1) + law.gravity)
+            x = x + step * v
+        fallen = law.gravity * law.dt
+        faster = v - v0 - fallen
+        farther = x - x0 - (v0 + faster + fallen / 2) * law.dt
+        if not bool((faster.abs() <= FASTEST).all()):
+            faster, farther = torch.zeros_like(faster), torch.zeros_like(farther)
+        return self.values @ faster, self.values @ farther
+
+
+class Elastic:
+    """The impulses of a checkpoint with `[elastic]`."""
+
+    def __init__(self, description: dict[str, Any]) -> None:
+        self.options, self.dt = description["elastic"], description["dt"]
+        self.spacing = description["surroundings"]["spacing"]
+        modulus, ratio = self.options["modulus"], self.options["poisson_ratio"]
+        self.mu, self.lam = modulus / (2 * (1 + ratio)), modulus * ratio / ((1 + ratio) * (1 - 2 * ratio))
+        self.modulus = self.lam + 2 * self.mu  # of pressure waves
+        self.steps, self.viscosity = self.options["steps"], self.options["viscosity"]
+        self.wall_stiffness, self.rebound = self.options["wall_stiffness"], self.options["rebound"]
+        scale, distance = description["normalization"], self.options["wall_distance"] * self.spacing
+        self.lower = torch.tensor(scale["minimum"][:2], dtype=torch.double) + distance
+        self.upper = torch.tensor(scale["maximum"][:2], dtype=torch.double) - distance
+        self.gravity = torch.tensor(description["gravity"], dtype=torch.double)
+
+    def lattices(self, rest: Tensor, linked: Tensor) -> list[tuple[Tensor, Lattice]]:
+        """The rows of each body of jelly, and its lattice, from rest positions [N, 2] and the neighbours of jelly, [N, N]."""
+        linked = (linked | linked.T) & (torch.cdist(rest.double(), rest.double()) <= CONNECTED * self.spacing)
+        body = torch.where(linked.any(1), torch.arange(len(rest)), -1)
+        while True:
+            least = torch.where(linked, body, len(rest)).amin(1)
+            joined = torch.where(body >= 0, body.minimum(least), body)
+            if joined.equal(body):
+                break
+            body = joined
+        rows = [(body == number).nonzero().squeeze(1) for number in body[body >= 0].unique()]
+        return [(own, Lattice(rest[own].double(), self.spacing, self.options)) for own in rows if len(own) >= FEWEST]
+
+    def impulses(self, bodies: Bodies, lattices: list[list[tuple[Tensor, Lattice]]]) -> Bodies:
+        """Those of T frames of B windows, [T, B, N, 2]: velocities before a frame, positions after it."""
+        faster, farther = (torch.zeros_like(track) for track in bodies)
+        for window, own in enumerate(lattices):
+            for rows, lattice in own:
+                for frame in range(len(faster)):
+                    position, velocity = (track[frame, window, rows].double() for track in bodies)
+                    change, way = lattice.impulse(position, velocity, self)
+                    faster[frame, window, rows], farther[frame, window, rows] = change.to(faster), way.to(faster)
+        return farther, faster
