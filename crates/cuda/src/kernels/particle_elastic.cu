@@ -28,7 +28,7 @@ struct Lattice {
 // The law: Lame parameters, viscosity, distance from walls within which they push bodies away (domain lengths), stiffness of the push and
 // its share of a body that moves away, steps per frame.
 struct Elasticity { float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound; int steps; u32 unused; };
-#define ELASTIC_THREADS 256
+#define ELASTIC_THREADS 512
 // Largest change of a node's velocity, stretch from which on a point has no stress: `FASTEST`, `TORN` of eddy-inference.
 #define FASTEST 64.0f
 #define TORN 1.6f
@@ -113,6 +113,7 @@ __device__ __forceinline__ Body zero_body() {
 // The sum over a node's particles, weighted with their shape functions.
 __device__ __forceinline__ Body particle_sum(const Lattice& l, u32 node, const Body* bodies) {
   Body sum = zero_body();
+#pragma unroll 4
   for (u32 k = l.sample_first[node]; k < l.sample_first[node + 1]; k++) add_scaled(sum, l.samples[k].weight, bodies[l.samples[k].index]);
   return sum;
 }
@@ -143,6 +144,7 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
     const LatticeBody body = l.bodies[node];
     const float* inverse = l.inverse + body.inverse + (node - body.first);
     Body sum = start[node];
+#pragma unroll 8
     for (u32 k = 0; k < body.count; k++) add_scaled(sum, inverse[(size_t)k * body.count], now[body.first + k]);
     start[node] = sum;
   }

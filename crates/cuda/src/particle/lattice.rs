@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Threads of a block, which has a frame of a stream: of the kernels.
-pub(super) const ELASTIC_THREADS: usize = 256;
+pub(super) const ELASTIC_THREADS: usize = 512;
 
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 const MOST_NODES: usize = 2048;
