@@ -13,6 +13,8 @@ from torch_core import Bodies
 
 # Particles of a body at least, share of a full element's particles that fills an element, mass of a node at least (full elements).
 FEWEST, FILLED, LIGHTEST = 16, 0.4, 0.1
+# Speed away from a wall from which on its push is the share `rebound`.
+REBOUNDING = 0.1
 # Distance of connected particles (spacings); stretch from which on a point has no stress; largest change of a node's velocity, with a
 # larger one there is none.
 CONNECTED, TORN, FASTEST = 1.5, 1.6, 64.0
@@ -95,7 +97,7 @@ class Lattice:
             force = -torch.einsum("q,qij,qmj->mi", whole.to(x), stress, self.gradients)
             place, speed = self.weights @ x, self.weights @ v + law.gravity * step
             depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
-            share = torch.where(depth * speed > 0, law.rebound, 1.0)
+            share = 1 - (1 - law.rebound) * (speed * depth.sign() / REBOUNDING).clamp(0, 1)
             push = law.wall_stiffness * law.modulus / self.width.mean() ** 2 * share * depth * self.count.unsqueeze(1)
             force = force + self.weights.T @ push
             v = v + step * (force / self.mass.unsqueeze(1) + law.gravity)

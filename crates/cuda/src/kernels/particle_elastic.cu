@@ -29,9 +29,11 @@ struct Lattice {
 // its share of a body that moves away, steps per frame.
 struct Elasticity { float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound; int steps; u32 unused; };
 #define ELASTIC_THREADS 512
-// Largest change of a node's velocity, stretch from which on a point has no stress: `FASTEST`, `TORN` of eddy-inference.
+// Largest change of a node's velocity, stretch from which on a point has no stress, speed from which on it rebounds: `FASTEST`, `TORN`
+// and `REBOUNDING` of eddy-inference.
 #define FASTEST 64.0f
 #define TORN 1.6f
+#define REBOUNDING 0.1f
 
 // What the network sees of a particle, and what the impulse adds to its position after the ballistic step. There are no impulses
 // where the network sees matter as it is.
@@ -88,7 +90,8 @@ __device__ __forceinline__ void point_forces(const Elasticity& law, const float*
 #pragma unroll
   for (int a = 0; a < 2; a++) {
     const float depth = fmaxf(lower[a] - place[a], 0.0f) - fmaxf(place[a] - upper[a], 0.0f);
-    const float push = spring * (depth * velocity[a] > 0.0f ? law.rebound : 1.0f) * depth;
+    const float away = fminf(fmaxf((depth > 0.0f ? velocity[a] : -velocity[a]) / REBOUNDING, 0.0f), 1.0f);
+    const float push = spring * (1.0f - (1.0f - law.rebound) * away) * depth;
 #pragma unroll
     for (int corner = 0; corner < 4; corner++)
       forces[2 * corner + a] =

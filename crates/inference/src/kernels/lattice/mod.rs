@@ -46,7 +46,7 @@ pub struct Elasticity {
     pub viscosity: f32,
     /// Stiffness of walls, relative to that of an element: lambda + 2 mu over its squared width, as an acceleration per depth.
     pub wall_stiffness: f32,
-    /// Share of the walls' push while a point moves away from them.
+    /// Share of the walls' push while a point moves away from them, but for the slowest.
     pub rebound: f32,
     /// Steps per frame.
     pub steps: usize,

@@ -4,6 +4,8 @@ use super::{Elasticity, Node, Point, Walls};
 
 /// Stretch from which on a point has no stress: bodies that touched in the first frame, and so share a lattice, come apart.
 const TORN: f32 = 1.6;
+/// Speed away from a wall from which on its push is the share [`Elasticity::rebound`] (domain lengths per second).
+const REBOUNDING: f32 = 0.1;
 
 /// Adds a point's forces, in units of a particle's mass, to its nodes: of its stress, and of the walls. `fall` is what gravity adds to
 /// its velocity in the step.
@@ -71,8 +73,9 @@ pub(super) fn add_forces(
     let mut push = [0.0; 2];
     for axis in 0..2 {
         let depth = (lower[axis] - place[axis]).max(0.0) - (place[axis] - upper[axis]).max(0.0);
-        let share = if depth * velocity[axis] > 0.0 { rebound } else { 1.0 };
-        push[axis] = spring * share * depth;
+        // Without a jump, which would turn rounding into motion where bodies lie still.
+        let away = (velocity[axis] * depth.signum() / REBOUNDING).clamp(0.0, 1.0);
+        push[axis] = spring * (1.0 - (1.0 - rebound) * away) * depth;
     }
     for corner in 0..4 {
         let force = &mut nodes[corners[corner] as usize].force;
