@@ -17,7 +17,7 @@ use crate::{
 pub(super) const ELASTIC_THREADS: usize = 512;
 
 /// Nodes of a body at most: its fit has a dense matrix on a device.
-const MOST_NODES: usize = 2048;
+pub(super) const MOST_NODES: usize = 2048;
 
 /// `struct Elasticity` of the kernels.
 #[derive(Clone, Copy, Debug)]

@@ -7,7 +7,7 @@ use crate::{
     device::{Argument, Buffer, Shape},
     error::Result,
     kernels::Kernel,
-    particle::lattice::{ELASTIC_THREADS, Placed},
+    particle::lattice::{ELASTIC_THREADS, MOST_NODES, Placed},
     training::Settings,
 };
 
@@ -64,11 +64,17 @@ pub(in super::super) fn elastic_bytes(
 ) -> u64 {
     /// Of a particle: its row, corners and samples, and its share of points.
     const PARTICLE: u64 = 36 + 32 + 40;
-    /// Of a particle in a step: its share of nodes and points, with at least four particles a node.
+    /// Particles of a node, at least.
+    const OF_NODE: u64 = 4;
+    /// Of a particle in a step: its share of nodes and points.
     const SCRATCH: u64 = 8 + 32;
     /// Of a particle in a frame of a step: its impulse.
     const IMPULSE: u64 = 16;
-    let inverse = |particles: u64| 4 * (particles / 4).pow(2);
+    // Of a body, whose nodes are limited.
+    let inverse = |particles: u64| {
+        let nodes = particles / OF_NODE;
+        4 * nodes * nodes.min(MOST_NODES as u64)
+    };
     let (mut all, mut most) = (0, 0);
     for particles in streams.into_iter().map(|particles| particles as u64) {
         all += 2 * (PARTICLE * particles + inverse(particles));
