@@ -55,6 +55,9 @@ class Lattice:
         quarters, self.count = self.part(rest, 2).unique(dim=0, return_counts=True)
         self.weights, self.gradients = self.shape(self.corner + (quarters + 0.5) * self.width / 2)
         self.weights, self.gradients = self.weights[:, used], self.gradients[:, used]  # [Q, M], [Q, M, 2]
+        # A quarter without particles beside it is at the surface.
+        beside = (quarters.unsqueeze(1) - quarters).abs().amax(-1) <= 1
+        self.outer = beside.sum(1) < 9
 
     def part(self, place: Tensor, parts: int) -> Tensor:
         at = ((place - self.corner) / self.width * parts).floor().long()
@@ -76,38 +79,72 @@ class Lattice:
             gradients[rows, node] = torch.where(corner == 1, 1.0, -1.0) * part.flip(1) / self.width
         return values, gradients
 
-    def impulse(self, position: Tensor, velocity: Tensor, law: "Elastic") -> tuple[Tensor, Tensor]:
-        """What to add to the velocities before a frame and to the positions after it, [P, 2] each."""
-        fit = torch.linalg.lstsq(self.values, torch.cat([position, velocity], 1)).solution
-        x, v = fit.split(2, 1)
-        x0, v0, step = x, v, law.dt / law.steps
-        for _ in range(law.steps):
-            f = torch.einsum("mi,qmj->qij", x, self.gradients)
-            cos, sin = f[:, 0, 0] + f[:, 1, 1], f[:, 1, 0] - f[:, 0, 1]
-            length = (cos.square() + sin.square()).sqrt().clamp(min=1e-12)
-            cos, sin = cos / length, sin / length
-            turn = torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
-            cofactor = torch.stack([f[:, 1, 1], -f[:, 1, 0], -f[:, 0, 1], f[:, 0, 0]], -1).view(-1, 2, 2)
-            rate = torch.einsum("mi,qmj->qij", v, self.gradients)
-            strain = rate @ turn.mT
-            strain = (strain + strain.mT) / 2
-            stress = law.viscosity * math.sqrt(law.modulus) * self.width.mean() * strain @ turn
-            stress = stress + 2 * law.mu * (f - turn) + law.lam * (torch.linalg.det(f) - 1)[:, None, None] * cofactor
-            whole = self.count * (torch.linalg.svdvals(f)[:, 0] <= TORN)
-            force = -torch.einsum("q,qij,qmj->mi", whole.to(x), stress, self.gradients)
-            place, speed = self.weights @ x, self.weights @ v + law.gravity * step
-            depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
-            share = 1 - (1 - law.rebound) * (speed * depth.sign() / REBOUNDING).clamp(0, 1)
-            push = law.wall_stiffness * law.modulus / self.width.mean() ** 2 * share * depth * self.count.unsqueeze(1)
-            force = force + self.weights.T @ push
-            v = v + step * (force / self.mass.unsqueeze(1) + law.gravity)
-            x = x + step * v
-        fallen = law.gravity * law.dt
+    def fit(self, position: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
+        """Positions and velocities of the nodes, [M, 2] each."""
+        x, v = torch.linalg.lstsq(self.values, torch.cat([position, velocity], 1)).solution.split(2, 1)
+        return x, v
+
+    def forces(self, x: Tensor, v: Tensor, law: "Elastic", step: float) -> Tensor:
+        """Those of stress and walls on the nodes, [M, 2]."""
+        f = torch.einsum("mi,qmj->qij", x, self.gradients)
+        cos, sin = f[:, 0, 0] + f[:, 1, 1], f[:, 1, 0] - f[:, 0, 1]
+        length = (cos.square() + sin.square()).sqrt().clamp(min=1e-12)
+        cos, sin = cos / length, sin / length
+        turn = torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
+        cofactor = torch.stack([f[:, 1, 1], -f[:, 1, 0], -f[:, 0, 1], f[:, 0, 0]], -1).view(-1, 2, 2)
+        rate = torch.einsum("mi,qmj->qij", v, self.gradients)
+        strain = rate @ turn.mT
+        strain = (strain + strain.mT) / 2
+        stress = law.viscosity * math.sqrt(law.modulus) * self.width.mean() * strain @ turn
+        stress = stress + 2 * law.mu * (f - turn) + law.lam * (torch.linalg.det(f) - 1)[:, None, None] * cofactor
+        whole = self.count * (torch.linalg.svdvals(f)[:, 0] <= TORN)
+        force = -torch.einsum("q,qij,qmj->mi", whole.to(x), stress, self.gradients)
+        place, speed = self.weights @ x, self.weights @ v + law.gravity * step
+        depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
+        share = 1 - (1 - law.rebound) * (speed * depth.sign() / REBOUNDING).clamp(0, 1)
+        push = law.wall_stiffness * law.modulus / self.width.mean() ** 2 * share * depth * self.count.unsqueeze(1)
+        return force + self.weights.T @ push
+
+
+def contact(one: Lattice, other: Lattice, nodes: list[tuple[Tensor, Tensor]], law: "Elastic") -> tuple[Tensor, Tensor]:
+    """The forces between the surfaces of two bodies on their nodes, [M, 2] each."""
+    weights = [lattice.weights[lattice.outer] for lattice in (one, other)]
+    (x, v), (y, w) = ((own @ place, own @ speed) for own, (place, speed) in zip(weights, nodes, strict=True))
+    apart, speed = x.unsqueeze(1) - y, v.unsqueeze(1) - w
+    gap = apart.norm(dim=-1).clamp(min=1e-9)
+    p, q = one.count[one.outer].double().unsqueeze(1), other.count[other.outer].double()
+    depth = 2 * p * q / (p + q) * (law.contact_distance - gap).clamp(min=0)
+    width = (one.width.mean() + other.width.mean()) / 2
+    spring = law.contact_stiffness * law.modulus / width**2 * depth / gap
+    exchange = law.contact_viscosity * math.sqrt(law.modulus) / width * depth / law.contact_distance
+    force = spring.unsqueeze(-1) * apart - exchange.unsqueeze(-1) * speed
+    return weights[0].T @ force.sum(1), -weights[1].T @ force.sum(0)
+
+
+def impulses(lattices: list[Lattice], bodies: list[tuple[Tensor, Tensor]], law: "Elastic") -> list[tuple[Tensor, Tensor]]:
+    """What to add to the velocities of each body before a frame and to the positions after it, [P, 2] each."""
+    start = [lattice.fit(*body) for lattice, body in zip(lattices, bodies, strict=True)]
+    nodes, step = start, law.dt / law.steps
+    for _ in range(law.steps):
+        forces = [lattice.forces(x, v, law, step) for lattice, (x, v) in zip(lattices, nodes, strict=True)]
+        for other in range(len(lattices)):
+            for one in range(other):
+                pair = contact(lattices[one], lattices[other], [nodes[one], nodes[other]], law)
+                forces[one], forces[other] = forces[one] + pair[0], forces[other] + pair[1]
+        speeds = [
+            v + step * (force / lattice.mass.unsqueeze(1) + law.gravity)
+            for lattice, (_, v), force in zip(lattices, nodes, forces, strict=True)
+        ]
+        nodes = [(x + step * v, v) for (x, _), v in zip(nodes, speeds, strict=True)]
+    fallen = law.gravity * law.dt
+    found = []
+    for lattice, (x0, v0), (x, v) in zip(lattices, start, nodes, strict=True):
         faster = v - v0 - fallen
         farther = x - x0 - (v0 + faster + fallen / 2) * law.dt
         if not bool((faster.abs() <= FASTEST).all()):
             faster, farther = torch.zeros_like(faster), torch.zeros_like(farther)
-        return self.values @ faster, self.values @ farther
+        found.append((lattice.values @ faster, lattice.values @ farther))
+    return found
 
 
 class Elastic:
@@ -121,6 +158,8 @@ class Elastic:
         self.modulus = self.lam + 2 * self.mu  # of pressure waves
         self.steps, self.viscosity = self.options["steps"], self.options["viscosity"]
         self.wall_stiffness, self.rebound = self.options["wall_stiffness"], self.options["rebound"]
+        self.contact_distance = self.options["contact_distance"] * self.spacing
+        self.contact_stiffness, self.contact_viscosity = self.options["contact_stiffness"], self.options["contact_viscosity"]
         scale, distance = description["normalization"], self.options["wall_distance"] * self.spacing
         self.lower = torch.tensor(scale["minimum"][:2], dtype=torch.double) + distance
         self.upper = torch.tensor(scale["maximum"][:2], dtype=torch.double) - distance
@@ -143,9 +182,10 @@ class Elastic:
         """Those of T frames of B windows, [T, B, N, 2]: velocities before a frame, positions after it."""
         faster, farther = (torch.zeros_like(track) for track in bodies)
         for window, own in enumerate(lattices):
-            for rows, lattice in own:
-                for frame in range(len(faster)):
-                    position, velocity = (track[frame, window, rows].double() for track in bodies)
-                    change, way = lattice.impulse(position, velocity, self)
-                    faster[frame, window, rows], farther[frame, window, rows] = change.to(faster), way.to(faster)
+            rows, shapes = [rows for rows, _ in own], [lattice for _, lattice in own]
+            for frame in range(len(faster)):
+                position, velocity = (track[frame, window].double() for track in bodies)
+                found = impulses(shapes, [(position[row], velocity[row]) for row in rows], self)
+                for row, (change, way) in zip(rows, found, strict=True):
+                    faster[frame, window, row], farther[frame, window, row] = change.to(faster), way.to(faster)
         return farther, faster

@@ -11,6 +11,8 @@ struct LatticePoint {
   float gradients[4][2];
   float particles, width;
 };
+// A point at the surface of a body, whose points there these are; none if there is only one body.
+struct LatticeSurface { u32 point, first, end; };
 // The lattices of a stream's bodies.
 struct Lattice {
   const u32* rows;             // particle
@@ -23,11 +25,15 @@ struct Lattice {
   const u32* incident_first;   // [nodes + 1] first corner of each node
   const u32* incident;         // 4 point + corner
   const LatticePoint* points;
-  u32 particle_count, node_count, point_count, unused;
+  const LatticeSurface* surface;
+  u32 particle_count, node_count, point_count, surface_count;
 };
 // The law: Lame parameters, viscosity, distance from walls within which they push bodies away (domain lengths), stiffness of the push and
-// its share of a body that moves away, steps per frame.
-struct Elasticity { float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound; int steps; u32 unused; };
+// its share of a body that moves away; contact of bodies; steps per frame.
+struct Elasticity {
+  float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, contact_distance, contact_stiffness, contact_viscosity;
+  int steps;
+};
 #define ELASTIC_THREADS 512
 // Largest change of a node's velocity, stretch from which on a point has no stress, speed from which on it rebounds: `FASTEST`, `TORN`
 // and `REBOUNDING` of eddy-inference.
@@ -121,8 +127,28 @@ __device__ __forceinline__ Body particle_sum(const Lattice& l, u32 node, const B
   return sum;
 }
 
+// The force of the points of another body, from `first` to `end` at surfaces, on a point.
+__device__ __forceinline__ void contact_forces(const Lattice& l, const Elasticity& law, const LatticePoint& point, const Body& own,
+    const Body* surface, u32 first, u32 end, float* force) {
+  const float distance = law.contact_distance, modulus = law.lambda + 2.0f * law.mu;
+#pragma unroll 4
+  for (u32 other = first; other < end; other++) {
+    const Body to = surface[other];
+    const float apart[2] = {own.x[0] - to.x[0], own.x[1] - to.x[1]}, squared = apart[0] * apart[0] + apart[1] * apart[1];
+    if (!(squared < distance * distance)) continue;
+    const LatticePoint& another = l.points[l.surface[other].point];
+    const float gap = fmaxf(sqrtf(squared), 1e-9f), width = 0.5f * (point.width + another.width);
+    const float depth = 2.0f * point.particles * another.particles / (point.particles + another.particles) * (distance - gap);
+    const float spring = law.contact_stiffness * modulus / (width * width) * depth / gap;
+    const float exchange = law.contact_viscosity * sqrtf(modulus) / width * depth / distance;
+#pragma unroll
+    for (int a = 0; a < 2; a++) force[a] += spring * apart[a] - exchange * (own.v[a] - to.v[a]);
+  }
+}
+
 // The impulses of n particles by a block of ELASTIC_THREADS: x is added to the position after the ballistic step, v to the velocity
-// before. `s` has walls (domain lengths), fall (domain lengths per second) and dt (s); `now` and `start` have room for the nodes, `forces` for 8 numbers a point.
+// before. `s` has walls (domain lengths), fall (domain lengths per second) and dt (s); `now` and `start` have room for the nodes, `forces` for
+// 12 numbers a point: 8 of forces, and the position and velocity of those at surfaces.
 template <class S> __device__ __forceinline__ void elastic_impulses(const Lattice& l, const Elasticity& law, const S& s, u32 n, const Body* bodies,
     Body* impulses, Body* now, Body* start, float* forces) {
   const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count;
@@ -157,10 +183,32 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
   const float step = s.dt / (float)law.steps, fall[2] = {s.fall[0] / (float)law.steps, s.fall[1] / (float)law.steps};
   const float lower[2] = {s.wall_lower[0] + law.wall_distance, s.wall_lower[1] + law.wall_distance};
   const float upper[2] = {s.wall_upper[0] - law.wall_distance, s.wall_upper[1] - law.wall_distance};
+  Body* surface = (Body*)(forces + 8 * points);
   for (int k = 0; k < law.steps; k++) {
     for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS)
       point_forces(law, lower, upper, l.points[point], now, fall, forces + 8 * point);
+    for (u32 i = threadIdx.x; i < l.surface_count; i += ELASTIC_THREADS) {
+      const LatticePoint& point = l.points[l.surface[i].point];
+      Body own = zero_body();
+#pragma unroll
+      for (int corner = 0; corner < 4; corner++) add_scaled(own, point.weights[corner], now[point.nodes[corner]]);
+      surface[i] = own;
+    }
     __syncthreads();
+    if (l.surface_count) {
+      for (u32 i = threadIdx.x; i < l.surface_count; i += ELASTIC_THREADS) {
+        const LatticeSurface at = l.surface[i];
+        const LatticePoint& point = l.points[at.point];
+        float force[2] = {0.0f, 0.0f};
+        contact_forces(l, law, point, surface[i], surface, 0, at.first, force);
+        contact_forces(l, law, point, surface[i], surface, at.end, l.surface_count, force);
+#pragma unroll
+        for (int corner = 0; corner < 4; corner++)
+#pragma unroll
+          for (int a = 0; a < 2; a++) forces[8 * at.point + 2 * corner + a] += point.weights[corner] * force[a];
+      }
+      __syncthreads();
+    }
     for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
       float force[2] = {0.0f, 0.0f};
       for (u32 i = l.incident_first[node]; i < l.incident_first[node + 1]; i++) {

@@ -2,6 +2,8 @@
 
 #![expect(unsafe_code, reason = "structs that the device reads")]
 
+use std::ops::Range;
+
 use eddy_inference::{
     checkpoint::Description,
     engine::Ballistic,
@@ -16,6 +18,9 @@ use crate::{
 /// Threads of a block, which has a frame of a stream: of the kernels.
 pub(super) const ELASTIC_THREADS: usize = 512;
 
+/// Numbers of 4 bytes of scratch for each point.
+pub(super) const POINT_SCRATCH: usize = 12;
+
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 pub(super) const MOST_NODES: usize = 2048;
 
@@ -28,10 +33,12 @@ pub(super) struct Elasticity {
     wall_distance: f32,
     wall_stiffness: f32,
     rebound: f32,
+    contact_distance: f32,
+    contact_stiffness: f32,
+    contact_viscosity: f32,
     steps: u32,
-    unused: u32,
 }
-const _: () = assert!(size_of::<Elasticity>() == 4 * 8);
+const _: () = assert!(size_of::<Elasticity>() == 4 * 10);
 // SAFETY: numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Elasticity {}
 // SAFETY: as above.
@@ -41,13 +48,15 @@ impl Elasticity {
     /// Of the described network; none if it sees matter as it is.
     fn new(description: &Description) -> Option<Self> {
         let (options, grid) = (description.elastic?, description.grid.as_ref()?);
-        let elasticity = options.elasticity(&Ballistic::new(description));
+        let elasticity = options.elasticity(&Ballistic::new(description), grid.spacing);
         Some(Self {
             lame: elasticity.lame,
             viscosity: elasticity.viscosity,
             wall_stiffness: elasticity.wall_stiffness,
             rebound: elasticity.rebound,
-            unused: 0,
+            contact_distance: elasticity.contact.distance,
+            contact_stiffness: elasticity.contact.stiffness,
+            contact_viscosity: elasticity.contact.viscosity,
             wall_distance: options.wall_distance * grid.spacing,
             steps: elasticity.steps as u32,
         })
@@ -69,13 +78,13 @@ impl Elasticity {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct DeviceLattice {
-    lists: [u64; 10],
+    lists: [u64; 11],
     particles: u32,
     nodes: u32,
     points: u32,
-    unused: u32,
+    surface: u32,
 }
-const _: () = assert!(size_of::<DeviceLattice>() == 8 * 10 + 4 * 4);
+const _: () = assert!(size_of::<DeviceLattice>() == 8 * 11 + 4 * 4);
 // SAFETY: integers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for DeviceLattice {}
 // SAFETY: as above.
@@ -84,10 +93,11 @@ unsafe impl bytemuck::Pod for DeviceLattice {}
 /// Where the lists of a lattice are among others, in numbers of 4 bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Placed {
-    lists: [usize; 10],
+    lists: [usize; 11],
     particles: usize,
     pub(super) nodes: usize,
     pub(super) points: usize,
+    surface: usize,
 }
 
 impl Placed {
@@ -123,6 +133,16 @@ impl Placed {
             bodies.extend(nodes.flat_map(|_| body));
             inverse.extend(bits(&band.inverse()));
         }
+        // Nothing is near the only body.
+        let bodies_of_surface = match lattice.surfaces() {
+            [_] => &[],
+            surfaces => surfaces,
+        };
+        let mut surface = Vec::new();
+        for Range { start, end } in bodies_of_surface {
+            let of_body = &lattice.surface()[*start as usize..*end as usize];
+            surface.extend(of_body.iter().map(|&point| [point, *start, *end]));
+        }
         let share = |&Share { index, weight }: &Share| [index, weight.to_bits()];
         let mut list = |list: &mut dyn Iterator<Item = u32>| {
             let at = words.len();
@@ -140,8 +160,10 @@ impl Placed {
             list(&mut firsts(&incident)),
             list(&mut incident.iter().flatten().copied()),
             list(&mut lattice.points().iter().flat_map(numbers)),
+            list(&mut surface.iter().flatten().copied()),
         ];
-        Ok(Self { lists, particles: lattice.rows().len(), nodes, points })
+        let (particles, surface) = (lattice.rows().len(), surface.len());
+        Ok(Self { lists, particles, nodes, points, surface })
     }
 
     /// As the kernels have it, where the lists begin at `words`.
@@ -151,7 +173,7 @@ impl Placed {
             particles: self.particles as u32,
             nodes: self.nodes as u32,
             points: self.points as u32,
-            unused: 0,
+            surface: self.surface as u32,
         }
     }
 }

@@ -15,7 +15,7 @@ use eddy_inference::{
 };
 
 use super::{
-    lattice::{DeviceLattice, Placed},
+    lattice::{DeviceLattice, POINT_SCRATCH, Placed},
     layout::Constants,
 };
 use crate::{
@@ -287,7 +287,7 @@ impl Size {
         if nodes > 0 {
             row.impulses = places.next(BODY * n);
             row.lattice_nodes = places.next(2 * BODY * nodes);
-            row.lattice_forces = places.next(8 * points);
+            row.lattice_forces = places.next(POINT_SCRATCH * points);
         }
         places.length
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{CheckpointError, description::field};
 use crate::{
     engine::Ballistic,
-    kernels::lattice::{Elasticity, Walls},
+    kernels::lattice::{Contact, Elasticity, Walls},
 };
 
 /// Constants of the impulse that its own stress and the walls give jelly within a frame, after which the network sees it.
@@ -30,6 +30,12 @@ pub struct ElasticOptions {
     pub wall_stiffness: f32,
     /// Share of the push while jelly moves away from the wall, 0 to 1.
     pub rebound: f32,
+    /// Distance of points at the surfaces of two bodies, below which they are in contact (spacings at rest), 0 to 16.
+    pub contact_distance: f32,
+    /// Stiffness of what keeps them apart, relative to an element's, 0 to 1.
+    pub contact_stiffness: f32,
+    /// Viscosity that makes them move alike, relative to density x speed of pressure waves x width of an element, 0 to 4.
+    pub contact_viscosity: f32,
 }
 
 impl ElasticOptions {
@@ -50,6 +56,9 @@ impl ElasticOptions {
             wall_distance: 2.85,
             wall_stiffness: 1.0,
             rebound: 0.8,
+            contact_distance: 3.5,
+            contact_stiffness: 0.2,
+            contact_viscosity: 4.0,
         };
         let steps = (Self::STEPS_PER_CROSSING * options.crossings(spacing, dt)).ceil() as usize;
         options.steps = steps.clamp(1, Self::MOST_STEPS);
@@ -73,12 +82,17 @@ impl ElasticOptions {
         [modulus / (2.0 * (1.0 + nu)), modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))]
     }
 
-    /// The law for frames with this ballistic step.
-    pub fn elasticity(&self, ballistic: &Ballistic) -> Elasticity {
+    /// The law for frames with this ballistic step, with particles at this distance (domain lengths).
+    pub fn elasticity(&self, ballistic: &Ballistic, spacing: f32) -> Elasticity {
         let &Ballistic { gravity, dt, .. } = ballistic;
         let Self { viscosity, wall_stiffness, rebound, steps, .. } = *self;
         let lame = self.lame();
-        Elasticity { lame, viscosity, wall_stiffness, rebound, steps, dt, gravity }
+        let contact = Contact {
+            distance: self.contact_distance * spacing,
+            stiffness: self.contact_stiffness,
+            viscosity: self.contact_viscosity,
+        };
+        Elasticity { lame, viscosity, wall_stiffness, rebound, contact, steps, dt, gravity }
     }
 
     /// Where jelly touches the walls of a ballistic step, with particles at this distance (domain lengths).
@@ -100,6 +114,7 @@ pub(super) fn check(
 ) -> Result<(), CheckpointError> {
     let ElasticOptions { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
     let ElasticOptions { viscosity, wall_stiffness, rebound, .. } = *options;
+    let ElasticOptions { contact_distance, contact_stiffness, contact_viscosity, .. } = *options;
     // NaN is in none of these ranges.
     let checks = [
         ("modulus", modulus, modulus > 0.0 && modulus.is_finite(), "a positive number"),
@@ -114,6 +129,19 @@ pub(super) fn check(
         ("wall_distance", wall_distance, (0.0..=16.0).contains(&wall_distance), "0 to 16"),
         ("wall_stiffness", wall_stiffness, (0.0..=4.0).contains(&wall_stiffness), "0 to 4"),
         ("rebound", rebound, (0.0..=1.0).contains(&rebound), "0 to 1"),
+        ("contact_distance", contact_distance, (0.0..=16.0).contains(&contact_distance), "0 to 16"),
+        (
+            "contact_stiffness",
+            contact_stiffness,
+            (0.0..=1.0).contains(&contact_stiffness),
+            "0 to 1",
+        ),
+        (
+            "contact_viscosity",
+            contact_viscosity,
+            (0.0..=4.0).contains(&contact_viscosity),
+            "0 to 4",
+        ),
     ];
     for (key, found, fits, expected) in checks {
         if !fits {

@@ -56,7 +56,7 @@ impl Scratch {
         velocity.clone_into(changed);
         displacement.clear();
         displacement.resize(velocity.len(), [0.0; 2]);
-        let elasticity = options.elasticity(ballistic);
+        let elasticity = options.elasticity(ballistic, *spacing);
         let walls = options.walls(ballistic, *spacing);
         let moved = (position, velocity);
         for (row, impulse) in hidden.lattice.impulses(&elasticity, &walls, moved, lattice) {

@@ -74,7 +74,7 @@ pub(super) fn elastic(description: &Description) -> Description {
     Description { elastic, ..description.clone() }
 }
 
-/// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that turns in the air and is stretched more and more, and
+/// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that touches it, turns, and is stretched more and more, and
 /// liquid.
 pub(super) fn jelly(count: u32) -> Vec<Frame> {
     const SPACING: f32 = 0.02;
@@ -84,14 +84,14 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
             [0, 1].map(|axis| corner[axis] + SPACING * at[axis])
         })
     };
-    let rest: Vec<_> = [[0.06, 0.1], [0.5, 0.6], [0.6, 0.1]].into_iter().flat_map(block).collect();
+    let rest: Vec<_> = [[0.06, 0.1], [0.36, 0.12], [0.6, 0.6]].into_iter().flat_map(block).collect();
     let kinds = [Material::Jelly, Material::Jelly, Material::Liquid];
     let frame = |time: u32| {
         let (sin, cos) = (0.2 * time as f32).sin_cos();
         let stretch = 1.0 + 0.03 * time as f32;
         let turned = |[x, y]: [f32; 2]| {
-            let [x, y] = [stretch * (x - 0.63), y - 0.68];
-            [0.63 + cos * x - sin * y, 0.68 + sin * x + cos * y]
+            let [x, y] = [stretch * (x - 0.49), y - 0.2];
+            [0.49 + cos * x - sin * y, 0.2 + sin * x + cos * y]
         };
         let place = |(row, &x): (usize, &[f32; 2])| match row / 126 {
             0 => [x[0], x[1] - 0.01 * time as f32],

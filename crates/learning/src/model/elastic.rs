@@ -34,7 +34,7 @@ impl Elastic {
         let (options, grid) = (description.elastic?, description.grid.as_ref()?);
         let ballistic = Ballistic::new(description);
         Some(Self {
-            elasticity: options.elasticity(&ballistic),
+            elasticity: options.elasticity(&ballistic, grid.spacing),
             walls: options.walls(&ballistic, grid.spacing),
             unit: velocity_unit(&description.normalization) * ballistic.dt,
         })

@@ -8,5 +8,5 @@ extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) train_elastic(cons
   const size_t at = particle_row(s, sheet, 0);
   Body* nodes = s.lattice_nodes + (size_t)blockIdx.y * 2 * s.most_lattice_nodes;
   elastic_impulses(lattices[2 * window.stream + window.mirrored], *law, s, particles_of(s, b), s.states + at, s.impulses + at, nodes,
-      nodes + s.most_lattice_nodes, s.lattice_forces + (size_t)blockIdx.y * 8 * s.most_lattice_points);
+      nodes + s.most_lattice_nodes, s.lattice_forces + (size_t)blockIdx.y * 12 * s.most_lattice_points);
 }

@@ -71,7 +71,7 @@ struct Plan {
   u32* unsorted;             // particles by cells, in any order within a cell
   float* by_inputs;          // [.., CONCAT]
   Body* lattice_nodes;       // [.., 2, most_lattice_nodes]
-  float* lattice_forces;     // [.., most_lattice_points, 8]
+  float* lattice_forces;     // [.., most_lattice_points, 12]
   // Gradients that go from a frame to the one before.
   Body* by_state;            // [B, most]
   float* by_output;          // [LAYERS, B, most, H4] by the core's outputs

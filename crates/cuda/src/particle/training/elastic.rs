@@ -62,12 +62,12 @@ pub(in super::super) fn elastic_bytes(
     streams: impl IntoIterator<Item = usize>,
     settings: &[Settings],
 ) -> u64 {
-    /// Of a particle: its row, corners and samples, and its share of points.
-    const PARTICLE: u64 = 36 + 32 + 40;
+    /// Of a particle: its row, corners and samples, and its share of points, which may all be at a surface.
+    const PARTICLE: u64 = 36 + 32 + 40 + 12;
     /// Particles of a node, at least.
     const OF_NODE: u64 = 4;
     /// Of a particle in a step: its share of nodes and points.
-    const SCRATCH: u64 = 8 + 32;
+    const SCRATCH: u64 = 8 + 48;
     /// Of a particle in a frame of a step: its impulse.
     const IMPULSE: u64 = 16;
     // Of a body, whose nodes are limited.

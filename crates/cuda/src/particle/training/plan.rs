@@ -18,7 +18,7 @@ use crate::{
     device::{Address, Buffer, Device},
     error::Result,
     kernels::AXES,
-    particle::stream::cells_across,
+    particle::{lattice::POINT_SCRATCH, stream::cells_across},
     training::{Settings, Tables},
 };
 
@@ -266,7 +266,7 @@ impl Memory {
             unsorted: lists.next(together * most)?,
             by_inputs: lists.next(together * most * network.context_rows())?,
             lattice_nodes: lists.next(together * 2 * lattice_nodes * BODY)?,
-            lattice_forces: lists.next(together * lattice_points * 4 * AXES)?,
+            lattice_forces: lists.next(together * lattice_points * POINT_SCRATCH)?,
             by_state: at(&carried[3]),
             by_output: at(&carried[0]),
             by_cell: at(&carried[1]),

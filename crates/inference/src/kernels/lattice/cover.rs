@@ -170,21 +170,36 @@ impl Cover {
         })
     }
 
-    /// The middles of those quarters of elements that have particles, and their numbers.
-    pub(super) fn quarters(&self, places: &[[f64; 2]]) -> impl Iterator<Item = ([f64; 2], u32)> {
-        let across = POINTS * self.cells[0];
-        let mut counts = vec![0u32; across * POINTS * self.cells[1]];
+    /// Those quarters of elements that have particles.
+    pub(super) fn quarters(&self, places: &[[f64; 2]]) -> impl Iterator<Item = Quarter> {
+        let (across, up) = (POINTS * self.cells[0], POINTS * self.cells[1]);
+        let mut counts = vec![0u32; across * up];
         for &place in places {
             let [x, y] = self.part(place, POINTS);
             counts[y * across + x] += 1;
         }
-        let middle = move |(index, count): (usize, u32)| {
+        let quarter = move |index: usize| {
             let at = [index % across, index / across];
             let along = |axis: usize| (at[axis] as f64 + 0.5) / POINTS as f64 * self.width[axis];
-            ([0, 1].map(|axis| self.origin[axis] + along(axis)), count)
+            let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
+            let neighbours =
+                near(at[1], up).flat_map(|y| near(at[0], across).map(move |x| y * across + x));
+            let around = neighbours.filter(|&other| counts[other] > 0).count();
+            let middle = [0, 1].map(|axis| self.origin[axis] + along(axis));
+            Quarter { middle, particles: counts[index], is_outer: around < 9 }
         };
-        counts.into_iter().enumerate().filter(|(_, count)| *count > 0).map(middle)
+        (0..across * up).map(quarter).filter(|quarter| quarter.particles > 0)
     }
+}
+
+/// A part of a body.
+pub(super) struct Quarter {
+    /// Its place at rest (domain lengths).
+    pub(super) middle: [f64; 2],
+    /// Number of its particles.
+    pub(super) particles: u32,
+    /// Whether there are no particles in a part beside it.
+    pub(super) is_outer: bool,
 }
 
 /// The corners of an element.

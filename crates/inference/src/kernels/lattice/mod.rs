@@ -1,4 +1,4 @@
-//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress and the walls give it
+//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress, walls, and other bodies give it
 //! within a frame.
 //!
 //! A frame is as long as a pressure wave needs to cross a body of jelly, so that from one frame to the next only the phase of a
@@ -16,8 +16,11 @@
 //!    follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the grid of the material-point
 //!    method does), and the forces on the nodes. Beyond the plane of contact with a wall, a point is pushed back by a spring, less while it
 //!    moves away, without friction.
-//! 4. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
+//! 4. Contact (`contact`): in the ground truth, bodies that are closer than the splines of the grid are wide move with common velocities.
+//!    Here, a viscosity between the points at their surfaces exchanges momentum, and a weak spring keeps them apart.
+//! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
 
+mod contact;
 mod cover;
 mod fit;
 mod stress;
@@ -27,7 +30,8 @@ use std::ops::Range;
 use eddy_frames::Material;
 
 use super::rest_shape::RestShape;
-use cover::Cover;
+use contact::Surfaces;
+use cover::{Cover, Quarter};
 pub use fit::Band;
 
 /// Particles of a body at least: smaller ones have no lattice.
@@ -48,12 +52,25 @@ pub struct Elasticity {
     pub wall_stiffness: f32,
     /// Share of the walls' push while a point moves away from them, but for the slowest.
     pub rebound: f32,
+    /// Between bodies.
+    pub contact: Contact,
     /// Steps per frame.
     pub steps: usize,
     /// Time between two frames (s).
     pub dt: f32,
     /// Gravity (domain lengths per second squared).
     pub gravity: [f32; 2],
+}
+
+/// What points at the surfaces of different bodies do to each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact {
+    /// Below this distance (domain lengths), from where on both of the following grow linearly.
+    pub distance: f32,
+    /// Stiffness of a spring that keeps them apart, relative to an element's.
+    pub stiffness: f32,
+    /// Viscosity that makes them move alike, relative to density x speed of pressure waves x width of an element.
+    pub viscosity: f32,
 }
 
 /// Where bodies touch walls (domain lengths).
@@ -65,7 +82,7 @@ pub struct Walls {
     pub upper: [f32; 2],
 }
 
-/// What elasticity and walls change within a frame, beside free fall.
+/// What elasticity, walls and contact change within a frame, beside free fall.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Impulse {
     /// To add to a particle's velocity before the frame (domain lengths per second).
@@ -110,6 +127,7 @@ pub struct Lattice {
     /// 1 / mass of each node, `[n]` (1 / mass of a particle).
     inverse_mass: Vec<f32>,
     points: Vec<Point>,
+    surfaces: Surfaces,
 }
 
 /// Scratch buffers of a frame.
@@ -120,6 +138,7 @@ pub struct Scratch {
     start: Vec<Node>,
     residuals: Vec<Node>,
     impulses: Vec<Impulse>,
+    contact: contact::Scratch,
 }
 
 /// A node within a frame.
@@ -194,6 +213,16 @@ impl Lattice {
         &self.points
     }
 
+    /// Numbers of the points at the surfaces of bodies.
+    pub fn surface(&self) -> &[u32] {
+        &self.surfaces.points
+    }
+
+    /// Those of each body, as places in [`Lattice::surface`].
+    pub fn surfaces(&self) -> &[Range<u32>] {
+        &self.surfaces.bodies
+    }
+
     /// Whether there is no body.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
@@ -218,16 +247,21 @@ impl Lattice {
         let inverse = |mass: f64| (1.0 / mass.max(LIGHTEST * full)) as f32;
         self.inverse_mass.extend(mass.into_iter().map(inverse));
         self.normal_equations.push(Band::new(begin, nodes.len(), &self.corners[first..]));
-        for (place, count) in cover.quarters(places) {
-            let corners = cover.corners(place, cover.element(place));
+        let first_of_surface = self.surfaces.points.len() as u32;
+        for Quarter { middle, particles, is_outer } in cover.quarters(places) {
+            let corners = cover.corners(middle, cover.element(middle));
+            if is_outer {
+                self.surfaces.points.push(self.points.len() as u32);
+            }
             self.points.push(Point {
                 nodes: corners.map(|corner| begin + number(corner.0)),
                 weights: corners.map(|corner| corner.1 as f32),
                 gradients: corners.map(|corner| corner.2.map(|slope| slope as f32)),
-                particles: count as f32,
+                particles: particles as f32,
                 width: (0.5 * (cover.width[0] + cover.width[1])) as f32,
             });
         }
+        self.surfaces.bodies.push(first_of_surface..self.surfaces.points.len() as u32);
     }
 
     /// The positions and velocities of the nodes, fitted to those of the particles.
@@ -276,7 +310,7 @@ impl Lattice {
     ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
         let Elasticity { steps, dt, gravity, .. } = *elasticity;
         self.fit(motion, scratch);
-        let Scratch { nodes, start, impulses, .. } = scratch;
+        let Scratch { nodes, start, impulses, contact, .. } = scratch;
         start.clone_from(nodes);
         let step = dt / steps as f32;
         let fall = gravity.map(|gravity| gravity * step);
@@ -284,6 +318,7 @@ impl Lattice {
             for point in &self.points {
                 stress::add_forces(elasticity, walls, fall, point, nodes);
             }
+            self.surfaces.add_forces(elasticity, &self.points, contact, nodes);
             for (node, inverse_mass) in nodes.iter_mut().zip(&self.inverse_mass) {
                 node.advance(step, *inverse_mass, fall);
             }

@@ -10,6 +10,7 @@ const LAW: Elasticity = Elasticity {
     viscosity: 0.0,
     wall_stiffness: 1.0,
     rebound: 1.0,
+    contact: Contact { distance: 3.5 * SPACING, stiffness: 0.2, viscosity: 4.0 },
     steps: 24,
     dt: DT,
     gravity: [0.0, 0.0],
@@ -288,6 +289,42 @@ fn bodies_that_almost_touched_have_lattices_of_their_own_and_those_that_touched_
     let found = impulses(&lattice, &LAW, &FAR, &position, &still);
     let mean: f32 = found[..169].iter().map(|own| own.velocity_change[0]).sum::<f32>() / 169.0;
     assert!(mean.abs() < 0.2, "{mean}");
+}
+
+/// A body hits another of a third of its mass, which lies still, without gravity and walls.
+#[test]
+fn bodies_that_meet_exchange_momentum_and_do_not_enter_each_other() {
+    let (left, right) = (block(21, 21), block(7, 21));
+    let gap = 30.0 * SPACING;
+    let moved: Vec<_> = right.into_iter().map(|[x, y]| [x + gap, y + 3.0 * SPACING]).collect();
+    let rest = [left, moved].concat();
+    let lattice = lattice(&rest);
+    assert_eq!(lattice.surfaces().len(), 2);
+    let of_left = |row: usize| row < 21 * 21;
+    let mut position = rest.clone();
+    let start = |row| if of_left(row) { [3.0, 0.2] } else { [0.0; 2] };
+    let mut velocity: Vec<_> = (0..rest.len()).map(start).collect();
+    let mean =
+        |of: &[[f32; 2]], axis: usize| of.iter().map(|v| v[axis]).sum::<f32>() / of.len() as f32;
+    let total = [0, 1].map(|axis| mean(&velocity, axis));
+    for frame in 0..20 {
+        advance(&lattice, (&LAW, &FAR), &mut position, &mut velocity);
+        for (axis, total) in total.iter().enumerate() {
+            let now = mean(&velocity, axis);
+            assert!((now - total).abs() < 0.01, "frame {frame}: {now} instead of {total}");
+        }
+        let [left, right] = [&position[..21 * 21], &position[21 * 21..]];
+        let front = left.iter().fold(f32::MIN, |most, place| most.max(place[0]));
+        let back = right.iter().fold(f32::MAX, |least, place| least.min(place[0]));
+        assert!(back - front > 0.5 * SPACING, "frame {frame}: {front}, {back}");
+    }
+    let [left, right] = [&velocity[..21 * 21], &velocity[21 * 21..]].map(|own| mean(own, 0));
+    // Together at 2.25, and faster than that where they spring apart.
+    assert!(right > 2.25 && left < 2.25, "{left}, {right}");
+    // Bodies that are further apart than contact do nothing to each other.
+    let still = vec![[0.0; 2]; rest.len()];
+    let found = impulses(&lattice, &LAW, &FAR, &rest, &still);
+    assert!(largest(found.iter().map(|own| own.velocity_change)) < 1e-3);
 }
 
 #[test]
