@@ -6,10 +6,9 @@ struct Unroll {
 };
 
 // The loss of the batch, and what each window's squares are multiplied by in the gradient: scales [2, B], free and
-// observed. A relative loss is the root of a window's sum; `SMALLEST` keeps its slope finite. grid 1, block 256
-#define SMALLEST 1e-8f
+// observed. A relative loss is the root of a window's sum and `error_floor`. grid 1, block 256
 extern "C" __global__ void __launch_bounds__(256) loss(const float* __restrict__ squares, int chunks, const float* __restrict__ densities,
-    float density_factor, Unroll f, int relative, float observed_weight, float* __restrict__ scales,
+    float density_factor, Unroll f, int relative, float error_floor, float observed_weight, float* __restrict__ scales,
     const Progress* __restrict__ progress, Outcome* __restrict__ outcomes) {
   __shared__ double sums[256];
   double total = 0.0;
@@ -22,7 +21,7 @@ extern "C" __global__ void __launch_bounds__(256) loss(const float* __restrict__
       for (int t = from; t < to; t++)
         for (int c = 0; c < chunks; c++) sum += squares[((size_t)t * f.batch + b) * chunks + c];
       if (from < to && share > 0.0f) {
-        const float root = sqrtf(sum + SMALLEST);
+        const float root = sqrtf(sum + error_floor);
         total += (double)share * (relative ? root : sum);
         scales[kind * f.batch + b] = share * (relative ? 0.5f / root : 1.0f) / f.batch;
       } else {

@@ -16,6 +16,8 @@ pub struct Settings {
     pub truncation: usize,
     /// Whether the loss is the root of each window's sum.
     pub relative: bool,
+    /// What is added to that sum before the root.
+    pub error_floor: f32,
     /// Weight of the predictions made during the warm-up.
     pub observed_weight: f32,
     /// Weight of the density maps' mean squared error.
@@ -48,6 +50,7 @@ impl Settings {
             unroll: 1,
             truncation: 0,
             relative: false,
+            error_floor: 1e-8,
             observed_weight: 1.0,
             density_weight: 0.0,
             density_nodes: 32,

@@ -156,6 +156,10 @@ pub struct LossConfig {
     /// Relative loss: exponent of the error over all windows (of about the same stiffness) in the divisor; the rest is the
     /// error of the window. With 1, windows count by their errors; with 0, all windows count alike.
     pub common_share: f32,
+    /// Relative loss: added to the squared error of a window, in units of the best trivial predictor's, before the root. Windows
+    /// whose error is less change the weights less; without it, a window that is predicted well changes them as much as any.
+    #[serde(default = "LossConfig::least_error_floor")]
+    pub error_floor: f32,
     /// Weight of the mean squared error of density maps (whose mean is 1).
     pub density_weight: f32,
     /// Nodes of the density maps along an axis.
@@ -363,11 +367,20 @@ impl TrainConfig {
 }
 
 impl LossConfig {
+    /// Keeps the derivative of the square root finite.
+    pub(super) const LEAST_ERROR_FLOOR: f32 = 1e-8;
+
+    fn least_error_floor() -> f32 {
+        Self::LEAST_ERROR_FLOOR
+    }
+
     fn check(&self) -> Result<(), TrainError> {
         not_negative("loss.position_weight", self.position_weight)?;
         not_negative("loss.velocity_weight", self.velocity_weight)?;
         not_negative("loss.observed_weight", self.observed_weight)?;
         not_negative("loss.density_weight", self.density_weight)?;
+        let valid = (Self::LEAST_ERROR_FLOOR..=1.0).contains(&self.error_floor);
+        require("loss.error_floor", self.error_floor, valid, "1e-8 to 1")?;
         let field = "loss.position_weight, loss.velocity_weight";
         let valid = self.position_weight + self.velocity_weight > 0.0;
         require(field, "0, 0", valid, "at least one above 0")?;

@@ -10,9 +10,6 @@ use crate::model::{
 };
 use eddy_frames::Domain;
 
-/// Added to squared errors to keep the derivative of the square root finite.
-const EPSILON: f32 = 1e-8;
-
 /// The network observes the warm-up and predicts the rest from its own output, with gradients cut every `truncation` frames if
 /// that is not 0. Returns the predicted future and the one-step predictions during the warm-up, of which the last is the first
 /// frame of the future.
@@ -51,7 +48,7 @@ pub(super) fn loss(
     let squares = (position - batch.future.position.clone()).square()
         * batch.weights.position.clone()
         + (velocity - batch.future.velocity.clone()).square() * batch.weights.velocity.clone();
-    let mut loss = over_windows(config.kind, squares, batch.fixed.windows);
+    let mut loss = over_windows(config, squares, batch.fixed.windows);
     if config.observed_weight > 0.0 {
         loss = loss + observed(config, batch, steps).mul_scalar(config.observed_weight);
     }
@@ -81,19 +78,19 @@ fn observed(config: &LossConfig, batch: &Batch, steps: &TrajectoryBatch) -> Tens
     let squares = squares(&steps.position, &batch.observed.position, &batch.weights.position)
         + squares(&steps.velocity, &batch.observed.velocity, &batch.weights.velocity);
     let even = unroll as f32 / (warm_up - 1) as f32;
-    over_windows(config.kind, squares.mul_scalar(even), batch.fixed.windows)
+    over_windows(config, squares.mul_scalar(even), batch.fixed.windows)
 }
 
 /// Sums `[T, R, 2]` over each window, takes the square root for the relative loss, and averages over windows.
-fn over_windows(kind: LossKind, squares: Tensor<3>, windows: usize) -> Tensor<1> {
+fn over_windows(config: &LossConfig, squares: Tensor<3>, windows: usize) -> Tensor<1> {
     let [frames, rows, axes] = squares.dims();
     let sums = squares
         .reshape([frames, windows, rows / windows * axes])
         .sum_dim(2)
         .sum_dim(0)
         .reshape([windows]);
-    match kind {
+    match config.kind {
         LossKind::Mse => sums.mean(),
-        LossKind::Relative => sums.add_scalar(EPSILON).sqrt().mean(),
+        LossKind::Relative => sums.add_scalar(config.error_floor).sqrt().mean(),
     }
 }

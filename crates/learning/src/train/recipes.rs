@@ -121,6 +121,7 @@ impl TrainConfig {
                 velocity_weight: 1.0,
                 observed_weight: 0.0,
                 common_share: 0.0,
+                error_floor: LossConfig::LEAST_ERROR_FLOOR,
                 density_weight: 1e-3,
                 density_grid: 32,
             },
@@ -188,6 +189,7 @@ impl LossConfig {
         velocity_weight: 0.2,
         observed_weight: 0.5,
         common_share: 1.0,
+        error_floor: Self::LEAST_ERROR_FLOOR,
         density_weight: 0.0,
         density_grid: 32,
     };

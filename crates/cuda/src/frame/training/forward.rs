@@ -234,6 +234,7 @@ impl Training {
             density_nodes,
             observed_weight,
             relative,
+            error_floor,
             ..
         } = self.settings;
         let nodes = density_nodes.pow(AXES as u32);
@@ -273,6 +274,7 @@ impl Training {
                 factor.into(),
                 self.unroll_argument(),
                 usize::from(relative).into(),
+                error_floor.into(),
                 observed_weight.into(),
                 self.scales.address().into(),
                 self.tables.progress.address().into(),

@@ -60,7 +60,8 @@ impl Training {
 
     /// The loss, once all frames are predicted.
     pub(super) fn loss(&self) -> Result<()> {
-        let Settings { batch, warm_up, unroll, relative, observed_weight, .. } = self.settings;
+        let Settings { batch, warm_up, unroll, relative, error_floor, observed_weight, .. } =
+            self.settings;
         let counts = [batch, warm_up, unroll, 0].map(|count| count as u32);
         let plan = &self.memory.plan;
         self.launch(
@@ -73,6 +74,7 @@ impl Training {
                 0.0.into(),
                 Argument::from_bytes(bytemuck::cast_slice(&counts)),
                 usize::from(relative).into(),
+                error_floor.into(),
                 observed_weight.into(),
                 plan.scales.into(),
                 self.tables.progress.address().into(),

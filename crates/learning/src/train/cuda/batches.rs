@@ -21,6 +21,7 @@ pub(in crate::train) fn settings(config: &TrainConfig, unroll: usize, devices: u
         unroll,
         truncation: config.truncation,
         relative: config.loss.kind == LossKind::Relative,
+        error_floor: config.loss.error_floor,
         observed_weight: config.loss.observed_weight,
         density_weight: config.loss.density_weight,
         density_nodes: config.loss.density_grid,
