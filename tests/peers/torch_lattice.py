@@ -1,6 +1,7 @@
 """The elastic impulse of jelly in PyTorch: bilinear elements on a lattice for each body, fitted to its particles by least squares.
 
-It follows the description in eddy's documentation and `[elastic]` of `model.toml`, with dense matrices where eddy has sparse ones.
+It follows the description in eddy's documentation and `[elastic]` of `model.toml`, with dense matrices where eddy has sparse ones, for networks
+that are not conditioned on the stiffness and bodies that are not narrower than an element, which needs more steps.
 """
 
 import math
@@ -13,6 +14,8 @@ from torch_core import Bodies
 
 # Particles of a body at least, share of a full element's particles that fills an element, mass of a node at least (full elements).
 FEWEST, FILLED, LIGHTEST = 16, 0.4, 0.1
+# Width of the parts of a surface, and what the stiffnesses of walls and contact refer to (spacings).
+PART, SURFACE_WIDTH = 1.75, 3.5
 # Speed away from a wall from which on its push is the share `rebound`.
 REBOUNDING = 0.1
 # Distance of connected particles (spacings); stretch from which on a point has no stress; largest change of a node's velocity, with a
@@ -52,12 +55,21 @@ class Lattice:
         used[(grids[..., 1] * (self.cells[0] + 1) + grids[..., 0]).flatten()] = True
         self.values = self.values[:, used]
         self.mass = self.values.sum(0).clamp(min=LIGHTEST * full)
-        quarters, self.count = self.part(rest, 2).unique(dim=0, return_counts=True)
-        self.weights, self.gradients = self.shape(self.corner + (quarters + 0.5) * self.width / 2)
-        self.weights, self.gradients = self.weights[:, used], self.gradients[:, used]  # [Q, M], [Q, M, 2]
-        # A quarter without particles beside it is at the surface.
-        beside = (quarters.unsqueeze(1) - quarters).abs().amax(-1) <= 1
-        self.outer = beside.sum(1) < 9
+        quarters, self.count = self.parts(rest, 2 * self.cells)[:2]
+        _, gradients = self.shape(quarters)
+        self.gradients = gradients[:, used]  # [Q, M, 2]
+        parts, self.particles, at = self.parts(rest, ((high - low) / (PART * spacing)).round().long().clamp(min=1))
+        # A part without particles beside it is at the surface.
+        outer = ((at.unsqueeze(1) - at).abs().amax(-1) <= 1).sum(1) < 9
+        weights, _ = self.shape(parts[outer])
+        self.weights, self.particles = weights[:, used], self.particles[outer].double()  # [S, M], [S]
+
+    def parts(self, rest: Tensor, count: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The mean places of the particles in each of so many parts along each axis that has some, their numbers, and its place."""
+        at = ((rest - self.corner) / (self.width * self.cells) * count).floor().long().clamp(min=0).minimum(count - 1)
+        at, part, number = at.unique(dim=0, return_inverse=True, return_counts=True)
+        sums = rest.new_zeros(len(at), 2).index_add_(0, part, rest)
+        return sums / number.unsqueeze(1), number, at
 
     def part(self, place: Tensor, parts: int) -> Tensor:
         at = ((place - self.corner) / self.width * parts).floor().long()
@@ -102,23 +114,21 @@ class Lattice:
         place, speed = self.weights @ x, self.weights @ v + law.gravity * step
         depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
         share = 1 - (1 - law.rebound) * (speed * depth.sign() / REBOUNDING).clamp(0, 1)
-        push = law.wall_stiffness * law.modulus / self.width.mean() ** 2 * share * depth * self.count.unsqueeze(1)
+        push = law.wall_stiffness * law.rate**2 * share * depth * self.particles.unsqueeze(1)
         return force + self.weights.T @ push
 
 
 def contact(one: Lattice, other: Lattice, nodes: list[tuple[Tensor, Tensor]], law: "Elastic") -> tuple[Tensor, Tensor]:
     """The forces between the surfaces of two bodies on their nodes, [M, 2] each."""
-    weights = [lattice.weights[lattice.outer] for lattice in (one, other)]
-    (x, v), (y, w) = ((own @ place, own @ speed) for own, (place, speed) in zip(weights, nodes, strict=True))
+    (x, v), (y, w) = ((own.weights @ place, own.weights @ speed) for own, (place, speed) in zip((one, other), nodes, strict=True))
     apart, speed = x.unsqueeze(1) - y, v.unsqueeze(1) - w
     gap = apart.norm(dim=-1).clamp(min=1e-9)
-    p, q = one.count[one.outer].double().unsqueeze(1), other.count[other.outer].double()
+    p, q = one.particles.unsqueeze(1), other.particles
     depth = 2 * p * q / (p + q) * (law.contact_distance - gap).clamp(min=0)
-    width = (one.width.mean() + other.width.mean()) / 2
-    spring = law.contact_stiffness * law.modulus / width**2 * depth / gap
-    exchange = law.contact_viscosity * math.sqrt(law.modulus) / width * depth / law.contact_distance
+    spring = law.contact_stiffness * law.rate**2 * depth / gap
+    exchange = law.contact_viscosity * law.rate * depth / law.contact_distance
     force = spring.unsqueeze(-1) * apart - exchange.unsqueeze(-1) * speed
-    return weights[0].T @ force.sum(1), -weights[1].T @ force.sum(0)
+    return one.weights.T @ force.sum(1), -other.weights.T @ force.sum(0)
 
 
 def impulses(lattices: list[Lattice], bodies: list[tuple[Tensor, Tensor]], law: "Elastic") -> list[tuple[Tensor, Tensor]]:
@@ -151,11 +161,14 @@ class Elastic:
     """The impulses of a checkpoint with `[elastic]`."""
 
     def __init__(self, description: dict[str, Any]) -> None:
+        if description.get("stiffness"):
+            raise ValueError("elastic impulses of a network that is conditioned on the stiffness: found stiffness = true, expected false")
         self.options, self.dt = description["elastic"], description["dt"]
         self.spacing = description["surroundings"]["spacing"]
         modulus, ratio = self.options["modulus"], self.options["poisson_ratio"]
         self.mu, self.lam = modulus / (2 * (1 + ratio)), modulus * ratio / ((1 + ratio) * (1 - 2 * ratio))
         self.modulus = self.lam + 2 * self.mu  # of pressure waves
+        self.rate = math.sqrt(self.modulus) / (SURFACE_WIDTH * self.spacing)
         self.steps, self.viscosity = self.options["steps"], self.options["viscosity"]
         self.wall_stiffness, self.rebound = self.options["wall_stiffness"], self.options["rebound"]
         self.contact_distance = self.options["contact_distance"] * self.spacing

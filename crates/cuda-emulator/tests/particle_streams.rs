@@ -95,17 +95,18 @@ proptest! {
 
 #[test]
 fn jelly_has_the_elastic_impulse_that_it_has_on_the_processor() {
-    let plain = small(Core::MinGru);
-    let mut description = elastic(&plain.description);
-    description.rules = Rules::default();
-    let checkpoint = Checkpoint { description, ..plain };
     let frames = jelly(4);
-    let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
-    let found = predict(&emulated(&checkpoint), &frames);
-    for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
-        let apart = apart(found, expected);
-        // A position's rounding, 6e-8, gives an element 0.07 wide a velocity of 6e-5 within a frame; impulses are of order 1.
-        assert!(apart <= 2e-4, "frame {number}: {apart} apart");
+    for stiffness in [false, true] {
+        let plain = Description { stiffness, ..small(Core::MinGru).description };
+        let description = Description { rules: Rules::default(), ..elastic(&plain) };
+        let checkpoint = checkpoint(description, 3);
+        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let found = predict(&emulated(&checkpoint), &frames);
+        for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let apart = apart(found, expected);
+            // A position's rounding, 6e-8, gives an element 0.07 wide a velocity of 6e-5 within a frame; impulses are of order 1.
+            assert!(apart <= 2e-4, "conditioned: {stiffness}, frame {number}: {apart} apart");
+        }
     }
 }
 

@@ -4,16 +4,20 @@
 struct LatticeShare { u32 index; float weight; };
 // First node and number of nodes of a body, and where its matrix begins.
 struct LatticeBody { u32 first, count, inverse; };
-// A quadrature point: the nodes of its element, their shape functions and gradients, its particles.
+// A quadrature point: the nodes of its element, the gradients of their shape functions, its particles, and the width of the element.
 struct LatticePoint {
   u32 nodes[4];
-  float weights[4];
   float gradients[4][2];
   float particles, width;
 };
-// A point at the surface of a body, whose points there these are; none if there is only one body.
-struct LatticeSurface { u32 point, first, end; };
-// The lattices of a stream's bodies.
+// A part of a surface: the nodes of its element, their shape functions, its particles, and the parts of its body.
+struct LatticePart {
+  u32 nodes[4];
+  float weights[4];
+  float particles;
+  u32 first, end;
+};
+// The lattices of a stream's bodies, and the law: Lame parameters, viscosity, accelerations by walls, and contact of bodies.
 struct Lattice {
   const u32* rows;             // particle
   const LatticeShare* corners; // [particles, 4] the nodes of its element
@@ -22,15 +26,11 @@ struct Lattice {
   const LatticeBody* bodies;   // of each node
   const float* inverse;        // of the matrix of each body's fit, [nodes, nodes]
   const float* inverse_mass;   // of each node, in units of a particle's mass
-  const u32* incident_first;   // [nodes + 1] first corner of each node
-  const u32* incident;         // 4 point + corner
+  const u32* incident_first;   // [nodes + 1] first force on each node
+  const u32* incident;         // [(points + parts) 4] the forces, those of points first
   const LatticePoint* points;
-  const LatticeSurface* surface;
-  u32 particle_count, node_count, point_count, surface_count;
-};
-// The law: Lame parameters, viscosity, distance from walls within which they push bodies away (domain lengths), stiffness of the push and
-// its share of a body that moves away; contact of bodies; steps per frame.
-struct Elasticity {
+  const LatticePart* parts;
+  u32 particle_count, node_count, point_count, part_count;
   float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, contact_distance, contact_stiffness, contact_viscosity;
   int steps;
 };
@@ -53,23 +53,19 @@ template <class S> __device__ __forceinline__ float elastic_displacement(const S
   return s.impulses ? s.impulses[row].x[axis] : 0.0f;
 }
 
-// The forces of a point on its nodes, in units of a particle's mass: of its stress, and of the walls.
-__device__ __forceinline__ void point_forces(const Elasticity& law, const float* lower, const float* upper, const LatticePoint& point,
-    const Body* nodes, const float* fall, float* forces) {
-  float f[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, rate[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, place[2] = {0.0f, 0.0f}, velocity[2] = {fall[0], fall[1]};
+// The forces of the stress at a point on its nodes, in units of a particle's mass.
+__device__ __forceinline__ void point_forces(const Lattice& law, const LatticePoint& point, const Body* nodes, float* forces) {
+  float f[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}}, rate[2][2] = {{0.0f, 0.0f}, {0.0f, 0.0f}};
 #pragma unroll
   for (int corner = 0; corner < 4; corner++) {
     const Body node = nodes[point.nodes[corner]];
 #pragma unroll
-    for (int row = 0; row < 2; row++) {
+    for (int row = 0; row < 2; row++)
 #pragma unroll
       for (int column = 0; column < 2; column++) {
         f[row][column] += node.x[row] * point.gradients[corner][column];
         rate[row][column] += node.v[row] * point.gradients[corner][column];
       }
-      place[row] += point.weights[corner] * node.x[row];
-      velocity[row] += point.weights[corner] * node.v[row];
-    }
   }
   // The rotation R of the polar decomposition; the sum and the difference of the stretches.
   float cosine = f[0][0] + f[1][1], sine = f[1][0] - f[0][1];
@@ -92,17 +88,11 @@ __device__ __forceinline__ void point_forces(const Elasticity& law, const float*
                                twice * (f[0][1] + sine) - volumetric * f[1][0] + viscous * rate[0][1]},
                               {twice * (f[1][0] - sine) - volumetric * f[0][1] + viscous * rate[1][0],
                                twice * (f[1][1] - cosine) + volumetric * f[0][0] + viscous * rate[1][1]}};
-  const float spring = law.wall_stiffness * modulus / (point.width * point.width) * point.particles;
 #pragma unroll
-  for (int a = 0; a < 2; a++) {
-    const float depth = fmaxf(lower[a] - place[a], 0.0f) - fmaxf(place[a] - upper[a], 0.0f);
-    const float away = fminf(fmaxf((depth > 0.0f ? velocity[a] : -velocity[a]) / REBOUNDING, 0.0f), 1.0f);
-    const float push = spring * (1.0f - (1.0f - law.rebound) * away) * depth;
+  for (int corner = 0; corner < 4; corner++)
 #pragma unroll
-    for (int corner = 0; corner < 4; corner++)
-      forces[2 * corner + a] =
-          point.weights[corner] * push - area * (stress[a][0] * point.gradients[corner][0] + stress[a][1] * point.gradients[corner][1]);
-  }
+    for (int a = 0; a < 2; a++)
+      forces[2 * corner + a] = -area * (stress[a][0] * point.gradients[corner][0] + stress[a][1] * point.gradients[corner][1]);
 }
 
 // Adds a multiple of a body's position and velocity.
@@ -127,20 +117,26 @@ __device__ __forceinline__ Body particle_sum(const Lattice& l, u32 node, const B
   return sum;
 }
 
-// The force of the points of another body, from `first` to `end` at surfaces, on a point.
-__device__ __forceinline__ void contact_forces(const Lattice& l, const Elasticity& law, const LatticePoint& point, const Body& own,
-    const Body* surface, u32 first, u32 end, float* force) {
-  const float distance = law.contact_distance, modulus = law.lambda + 2.0f * law.mu;
+// Adds the force of the walls on a part.
+__device__ __forceinline__ void push(const Lattice& law, const float* lower, const float* upper, const float* fall, const LatticePart& part, const Body& own,
+    float* force) {
+#pragma unroll
+  for (int a = 0; a < 2; a++) {
+    const float depth = fmaxf(lower[a] - own.x[a], 0.0f) - fmaxf(own.x[a] - upper[a], 0.0f), velocity = own.v[a] + fall[a];
+    const float away = fminf(fmaxf((depth > 0.0f ? velocity : -velocity) / REBOUNDING, 0.0f), 1.0f);
+    force[a] += law.wall_stiffness * part.particles * (1.0f - (1.0f - law.rebound) * away) * depth;
+  }
+}
+// Adds the forces of the parts from `first` to `end`, of other bodies, on a part.
+__device__ __forceinline__ void add_contact(const Lattice& law, const LatticePart& part, const Body& own, const Body* states, u32 first, u32 end, float* force) {
 #pragma unroll 4
   for (u32 other = first; other < end; other++) {
-    const Body to = surface[other];
+    const Body to = states[other];
     const float apart[2] = {own.x[0] - to.x[0], own.x[1] - to.x[1]}, squared = apart[0] * apart[0] + apart[1] * apart[1];
-    if (!(squared < distance * distance)) continue;
-    const LatticePoint& another = l.points[l.surface[other].point];
-    const float gap = fmaxf(sqrtf(squared), 1e-9f), width = 0.5f * (point.width + another.width);
-    const float depth = 2.0f * point.particles * another.particles / (point.particles + another.particles) * (distance - gap);
-    const float spring = law.contact_stiffness * modulus / (width * width) * depth / gap;
-    const float exchange = law.contact_viscosity * sqrtf(modulus) / width * depth / distance;
+    if (!(squared < law.contact_distance * law.contact_distance)) continue;
+    const float particles = law.parts[other].particles, gap = fmaxf(sqrtf(squared), 1e-9f);
+    const float depth = 2.0f * part.particles * particles / (part.particles + particles) * (law.contact_distance - gap);
+    const float spring = law.contact_stiffness * depth / gap, exchange = law.contact_viscosity * depth / law.contact_distance;
 #pragma unroll
     for (int a = 0; a < 2; a++) force[a] += spring * apart[a] - exchange * (own.v[a] - to.v[a]);
   }
@@ -148,10 +144,10 @@ __device__ __forceinline__ void contact_forces(const Lattice& l, const Elasticit
 
 // The impulses of n particles by a block of ELASTIC_THREADS: x is added to the position after the ballistic step, v to the velocity
 // before. `s` has walls (domain lengths), fall (domain lengths per second) and dt (s); `now` and `start` have room for the nodes, `forces` for
-// 12 numbers a point: 8 of forces, and the position and velocity of those at surfaces.
-template <class S> __device__ __forceinline__ void elastic_impulses(const Lattice& l, const Elasticity& law, const S& s, u32 n, const Body* bodies,
-    Body* impulses, Body* now, Body* start, float* forces) {
-  const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count;
+// 8 numbers a point and 12 a part: forces on four nodes, and the position and velocity of a part.
+template <class S> __device__ __forceinline__ void elastic_impulses(const Lattice& l, const S& s, u32 n, const Body* bodies, Body* impulses, Body* now,
+    Body* start, float* forces) {
+  const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count, parts = l.part_count;
   for (u32 p = threadIdx.x; p < n; p += ELASTIC_THREADS) impulses[p] = zero_body();
   // The least-squares fit to the particles: means first, and then what the particles differ by.
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
@@ -180,40 +176,39 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
   __syncthreads();
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) now[node] = start[node];
   __syncthreads();
-  const float step = s.dt / (float)law.steps, fall[2] = {s.fall[0] / (float)law.steps, s.fall[1] / (float)law.steps};
-  const float lower[2] = {s.wall_lower[0] + law.wall_distance, s.wall_lower[1] + law.wall_distance};
-  const float upper[2] = {s.wall_upper[0] - law.wall_distance, s.wall_upper[1] - law.wall_distance};
-  Body* surface = (Body*)(forces + 8 * points);
-  for (int k = 0; k < law.steps; k++) {
-    for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS)
-      point_forces(law, lower, upper, l.points[point], now, fall, forces + 8 * point);
-    for (u32 i = threadIdx.x; i < l.surface_count; i += ELASTIC_THREADS) {
-      const LatticePoint& point = l.points[l.surface[i].point];
+  const float step = s.dt / (float)l.steps, fall[2] = {s.fall[0] / (float)l.steps, s.fall[1] / (float)l.steps};
+  const float lower[2] = {s.wall_lower[0] + l.wall_distance, s.wall_lower[1] + l.wall_distance};
+  const float upper[2] = {s.wall_upper[0] - l.wall_distance, s.wall_upper[1] - l.wall_distance};
+  Body* states = (Body*)(forces + 8 * (points + parts));
+  for (int k = 0; k < l.steps; k++) {
+    for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS) point_forces(l, l.points[point], now, forces + 8 * point);
+    for (u32 i = threadIdx.x; i < parts; i += ELASTIC_THREADS) {
       Body own = zero_body();
 #pragma unroll
-      for (int corner = 0; corner < 4; corner++) add_scaled(own, point.weights[corner], now[point.nodes[corner]]);
-      surface[i] = own;
+      for (int corner = 0; corner < 4; corner++) add_scaled(own, l.parts[i].weights[corner], now[l.parts[i].nodes[corner]]);
+      states[i] = own;
     }
     __syncthreads();
-    if (l.surface_count) {
-      for (u32 i = threadIdx.x; i < l.surface_count; i += ELASTIC_THREADS) {
-        const LatticeSurface at = l.surface[i];
-        const LatticePoint& point = l.points[at.point];
-        float force[2] = {0.0f, 0.0f};
-        contact_forces(l, law, point, surface[i], surface, 0, at.first, force);
-        contact_forces(l, law, point, surface[i], surface, at.end, l.surface_count, force);
+    for (u32 i = threadIdx.x; i < parts; i += ELASTIC_THREADS) {
+      const LatticePart& part = l.parts[i];
+      const Body own = states[i];
+      float force[2] = {0.0f, 0.0f};
+      push(l, lower, upper, fall, part, own, force);
+      add_contact(l, part, own, states, 0, part.first, force);
+      add_contact(l, part, own, states, part.end, parts, force);
 #pragma unroll
-        for (int corner = 0; corner < 4; corner++)
+      for (int corner = 0; corner < 4; corner++)
 #pragma unroll
-          for (int a = 0; a < 2; a++) forces[8 * at.point + 2 * corner + a] += point.weights[corner] * force[a];
-      }
-      __syncthreads();
+        for (int a = 0; a < 2; a++) forces[8 * (points + i) + 2 * corner + a] = part.weights[corner] * force[a];
     }
+    __syncthreads();
     for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
       float force[2] = {0.0f, 0.0f};
+#pragma unroll 4
       for (u32 i = l.incident_first[node]; i < l.incident_first[node + 1]; i++) {
-        force[0] += forces[2 * l.incident[i]];
-        force[1] += forces[2 * l.incident[i] + 1];
+        const float2 one = *(const float2*)(forces + 2 * l.incident[i]);
+        force[0] += one.x;
+        force[1] += one.y;
       }
       Body own = now[node];
 #pragma unroll
@@ -240,10 +235,12 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
   // A body whose lattice has diverged gets none.
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
     const LatticeBody body = l.bodies[node];
-    bool converged = true;
+    // Without branches, so that many are loaded at once.
+    int converged = 1;
+#pragma unroll 8
     for (u32 k = body.first; k < body.first + body.count; k++)
 #pragma unroll
-      for (int a = 0; a < 2; a++) converged = converged && fabsf(start[k].v[a]) <= FASTEST;
+      for (int a = 0; a < 2; a++) converged &= fabsf(start[k].v[a]) <= FASTEST;
     now[node] = converged ? start[node] : zero_body();
   }
   __syncthreads();
@@ -256,9 +253,9 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
 }
 
 // The impulses of the streams that have jelly. grid (1, B), block ELASTIC_THREADS
-extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) particle_elastic(const Stream* __restrict__ streams, const Elasticity* __restrict__ law) {
+extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) particle_elastic(const Stream* __restrict__ streams) {
   const Stream& s = streams[blockIdx.y];
   if (!s.lattice) return;
   const Lattice& l = *s.lattice;
-  elastic_impulses(l, *law, s, s.particles, s.bodies, s.impulses, s.lattice_nodes, s.lattice_nodes + l.node_count, s.lattice_forces);
+  elastic_impulses(l, s, s.particles, s.bodies, s.impulses, s.lattice_nodes, s.lattice_nodes + l.node_count, s.lattice_forces);
 }

@@ -31,7 +31,7 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    lattice::{ELASTIC_THREADS, Elasticity},
+    lattice::ELASTIC_THREADS,
     layout::{Constants, Layout, NODE_THREADS},
     stream::{Memory, RULES, Row, Scales, Size},
 };
@@ -95,8 +95,8 @@ pub struct Inference {
     weights: Buffer,
     /// `struct Rules` of the kernels.
     rules: Buffer,
-    /// `struct Elasticity` of the kernels, if the network sees jelly after an elastic impulse.
-    elasticity: Option<Buffer>,
+    /// Whether the network sees jelly after an elastic impulse.
+    has_impulses: bool,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
     rows: Buffer,
@@ -149,7 +149,7 @@ impl Inference {
             domain: description.domain,
             weights: device.allocate(4 * layout.size)?,
             rules: device.allocate(4 * RULES)?,
-            elasticity: Elasticity::on_device(&*device, description)?,
+            has_impulses: description.elastic.is_some(),
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
             rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
             zeros: device.allocate(0)?,
@@ -310,9 +310,9 @@ impl Inference {
         self.launch(Kernel::ParticleScan, scan, &[rows])?;
         self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
         self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
-        if let Some(law) = &self.elasticity {
+        if self.has_impulses {
             let by_stream = Shape::new(1, streams, ELASTIC_THREADS);
-            self.launch(Kernel::ParticleElastic, by_stream, &[rows, law.address().into()])?;
+            self.launch(Kernel::ParticleElastic, by_stream, &[rows])?;
         }
         let [first, second] = self.layout.encoder.map(weights);
         let encode = by_tile(self.constants.encode_bytes());

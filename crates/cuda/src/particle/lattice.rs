@@ -1,33 +1,31 @@
-//! The lattices of jelly, and the law of its impulses, where the kernels read them.
+//! The lattices of jelly where the kernels read them.
 
 #![expect(unsafe_code, reason = "structs that the device reads")]
 
 use std::ops::Range;
 
-use eddy_inference::{
-    checkpoint::Description,
-    engine::Ballistic,
-    kernels::lattice::{Lattice, Point, Share},
-};
+use eddy_inference::kernels::lattice::{Elasticity, Lattice, Point, Share, SurfacePart};
 
 use crate::{
-    device::{Address, Buffer, Device},
+    device::Address,
     error::{CudaError, Result},
 };
 
 /// Threads of a block, which has a frame of a stream: of the kernels.
 pub(super) const ELASTIC_THREADS: usize = 512;
 
-/// Numbers of 4 bytes of scratch for each point.
-pub(super) const POINT_SCRATCH: usize = 12;
-
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 pub(super) const MOST_NODES: usize = 2048;
 
-/// `struct Elasticity` of the kernels.
+/// `struct Lattice` of the kernels.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
-pub(super) struct Elasticity {
+pub(super) struct DeviceLattice {
+    lists: [u64; 11],
+    particles: u32,
+    nodes: u32,
+    points: u32,
+    parts: u32,
     lame: [f32; 2],
     viscosity: f32,
     wall_distance: f32,
@@ -38,66 +36,21 @@ pub(super) struct Elasticity {
     contact_viscosity: f32,
     steps: u32,
 }
-const _: () = assert!(size_of::<Elasticity>() == 4 * 10);
+const _: () = assert!(size_of::<DeviceLattice>() == 8 * 11 + 4 * 14);
 // SAFETY: numbers without padding between them, as the size shows.
-unsafe impl bytemuck::Zeroable for Elasticity {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Elasticity {}
-
-impl Elasticity {
-    /// Of the described network; none if it sees matter as it is.
-    fn new(description: &Description) -> Option<Self> {
-        let (options, grid) = (description.elastic?, description.grid.as_ref()?);
-        let elasticity = options.elasticity(&Ballistic::new(description), grid.spacing);
-        Some(Self {
-            lame: elasticity.lame,
-            viscosity: elasticity.viscosity,
-            wall_stiffness: elasticity.wall_stiffness,
-            rebound: elasticity.rebound,
-            contact_distance: elasticity.contact.distance,
-            contact_stiffness: elasticity.contact.stiffness,
-            contact_viscosity: elasticity.contact.viscosity,
-            wall_distance: options.wall_distance * grid.spacing,
-            steps: elasticity.steps as u32,
-        })
-    }
-
-    /// The same in the memory of a device.
-    pub(super) fn on_device(
-        device: &dyn Device,
-        description: &Description,
-    ) -> Result<Option<Buffer>> {
-        let Some(law) = Self::new(description) else { return Ok(None) };
-        let buffer = device.allocate(size_of::<Self>())?;
-        device.write(&buffer, 0, bytemuck::bytes_of(&law))?;
-        Ok(Some(buffer))
-    }
-}
-
-/// `struct Lattice` of the kernels.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-pub(super) struct DeviceLattice {
-    lists: [u64; 11],
-    particles: u32,
-    nodes: u32,
-    points: u32,
-    surface: u32,
-}
-const _: () = assert!(size_of::<DeviceLattice>() == 8 * 11 + 4 * 4);
-// SAFETY: integers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for DeviceLattice {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for DeviceLattice {}
 
-/// Where the lists of a lattice are among others, in numbers of 4 bytes.
+/// A lattice, and where its lists are among others, in numbers of 4 bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Placed {
     lists: [usize; 11],
+    elasticity: Elasticity,
     particles: usize,
     pub(super) nodes: usize,
-    pub(super) points: usize,
-    surface: usize,
+    points: usize,
+    parts: usize,
 }
 
 impl Placed {
@@ -110,7 +63,7 @@ impl Placed {
         let largest = lattice.normal_equations().iter().map(|band| band.nodes().len()).max();
         if let Some(largest) = largest.filter(|&nodes| nodes > MOST_NODES) {
             let setting = format!("a body of jelly with {largest} nodes of its lattice");
-            let expected = "at most 2048 on a GPU, which are about 25,000 particles";
+            let expected = "at most 2048 on a GPU, which are about 25,000 particles of E = 1e3, more of stiffer";
             return Err(CudaError::Unsupported { setting, expected });
         }
         let mut samples = vec![Vec::new(); nodes];
@@ -120,10 +73,10 @@ impl Placed {
             }
         }
         let mut incident = vec![Vec::new(); nodes];
-        for (number, point) in lattice.points().iter().enumerate() {
-            for (corner, &node) in point.nodes.iter().enumerate() {
-                incident[node as usize].push((4 * number + corner) as u32);
-            }
+        let of_points = lattice.points().iter().map(|point| point.nodes);
+        let of_parts = lattice.surface().iter().map(|part| part.nodes);
+        for (force, node) in (0..).zip(of_points.chain(of_parts).flatten()) {
+            incident[node as usize].push(force);
         }
         let mut bodies = Vec::new();
         let mut inverse = Vec::new();
@@ -133,16 +86,8 @@ impl Placed {
             bodies.extend(nodes.flat_map(|_| body));
             inverse.extend(bits(&band.inverse()));
         }
-        // Nothing is near the only body.
-        let bodies_of_surface = match lattice.surfaces() {
-            [_] => &[],
-            surfaces => surfaces,
-        };
-        let mut surface = Vec::new();
-        for Range { start, end } in bodies_of_surface {
-            let of_body = &lattice.surface()[*start as usize..*end as usize];
-            surface.extend(of_body.iter().map(|&point| [point, *start, *end]));
-        }
+        let body = |&Range { start, end }: &Range<u32>| (start..end).map(move |_| [start, end]);
+        let parts = lattice.surface().iter().zip(lattice.surfaces().iter().flat_map(body));
         let share = |&Share { index, weight }: &Share| [index, weight.to_bits()];
         let mut list = |list: &mut dyn Iterator<Item = u32>| {
             let at = words.len();
@@ -159,21 +104,39 @@ impl Placed {
             list(&mut bits(lattice.inverse_mass())),
             list(&mut firsts(&incident)),
             list(&mut incident.iter().flatten().copied()),
-            list(&mut lattice.points().iter().flat_map(numbers)),
-            list(&mut surface.iter().flatten().copied()),
+            list(&mut lattice.points().iter().flat_map(numbers_of_point)),
+            list(&mut parts.flat_map(numbers_of_part)),
         ];
-        let (particles, surface) = (lattice.rows().len(), surface.len());
-        Ok(Self { lists, particles, nodes, points, surface })
+        let (elasticity, particles) = (*lattice.elasticity(), lattice.rows().len());
+        Ok(Self { lists, elasticity, particles, nodes, points, parts: lattice.surface().len() })
+    }
+
+    /// Numbers of 4 bytes that the kernels need beside the nodes: forces of points and parts on four nodes each, positions and velocities of
+    /// parts.
+    pub(super) fn forces(&self) -> usize {
+        8 * self.points + 12 * self.parts
     }
 
     /// As the kernels have it, where the lists begin at `words`.
     pub(super) fn on_device(&self, words: Address) -> DeviceLattice {
+        let Elasticity { lame, viscosity, wall_distance, wall_stiffness, rebound, .. } =
+            self.elasticity;
+        let Elasticity { contact, steps, .. } = self.elasticity;
         DeviceLattice {
             lists: self.lists.map(|list| words.plus(list).0),
             particles: self.particles as u32,
             nodes: self.nodes as u32,
             points: self.points as u32,
-            surface: self.surface as u32,
+            parts: self.parts as u32,
+            lame,
+            viscosity,
+            wall_distance,
+            wall_stiffness,
+            rebound,
+            contact_distance: contact.distance,
+            contact_stiffness: contact.stiffness,
+            contact_viscosity: contact.viscosity,
+            steps: steps as u32,
         }
     }
 }
@@ -193,9 +156,15 @@ fn firsts<T>(lists: &[Vec<T>]) -> impl Iterator<Item = u32> {
 }
 
 /// `struct LatticePoint` of the kernels.
-fn numbers(point: &Point) -> impl Iterator<Item = u32> {
-    let Point { nodes, weights, gradients, particles, width } = *point;
-    let numbers =
-        weights.into_iter().chain(gradients.into_iter().flatten()).chain([particles, width]);
+fn numbers_of_point(point: &Point) -> impl Iterator<Item = u32> {
+    let Point { nodes, gradients, particles, width } = *point;
+    let numbers = gradients.into_iter().flatten().chain([particles, width]);
     nodes.into_iter().chain(numbers.map(f32::to_bits))
+}
+
+/// `struct LatticePart` of the kernels.
+fn numbers_of_part((part, body): (&SurfacePart, [u32; 2])) -> impl Iterator<Item = u32> {
+    let SurfacePart { nodes, weights, particles } = *part;
+    let numbers = weights.into_iter().chain([particles]);
+    nodes.into_iter().chain(numbers.map(f32::to_bits)).chain(body)
 }

@@ -15,7 +15,7 @@ use eddy_inference::{
 };
 
 use super::{
-    lattice::{DeviceLattice, POINT_SCRATCH, Placed},
+    lattice::{DeviceLattice, Placed},
     layout::Constants,
 };
 use crate::{
@@ -175,7 +175,7 @@ pub(super) struct Size {
     /// Whether the rules for shapes and for bodies are on.
     shapes: bool,
     bodies: bool,
-    /// Nodes and points of its lattices; none where nothing has an elastic impulse.
+    /// Nodes of its lattices, and numbers of 4 bytes of their forces; none where nothing has an elastic impulse.
     lattice: [usize; 2],
 }
 
@@ -283,11 +283,11 @@ impl Size {
             // Each has at least the nodes of one stencil.
             row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
         }
-        let [nodes, points] = self.lattice;
+        let [nodes, forces] = self.lattice;
         if nodes > 0 {
             row.impulses = places.next(BODY * n);
             row.lattice_nodes = places.next(2 * BODY * nodes);
-            row.lattice_forces = places.next(POINT_SCRATCH * points);
+            row.lattice_forces = places.next(forces);
         }
         places.length
     }
@@ -321,7 +321,7 @@ struct Fixed {
     neighbours: u64,
     /// The feature of the stiffness; 0 where the network is not conditioned on it.
     stiffness: f32,
-    /// `struct Lattice` of the kernels and its lists, with numbers of nodes and points; none if nothing has an elastic impulse.
+    /// `struct Lattice` of the kernels and its lists, with numbers of nodes and of forces; none if nothing has an elastic impulse.
     lattice: Option<([Buffer; 2], [usize; 2])>,
 }
 
@@ -353,7 +353,7 @@ impl Memory {
         self.particles
     }
 
-    /// Nodes and points of its lattices.
+    /// Nodes of its lattices, and numbers of 4 bytes of their forces.
     pub(super) fn lattice(&self) -> [usize; 2] {
         self.fixed.lattice.as_ref().map_or([0; 2], |(_, counts)| *counts)
     }
@@ -507,7 +507,7 @@ impl Fixed {
                 let on_device = placed.on_device(buffers[1].address());
                 device.write(&buffers[0], 0, bytemuck::bytes_of(&on_device))?;
                 device.write(&buffers[1], 0, bytemuck::cast_slice(&words))?;
-                Some((buffers, [placed.nodes, placed.points]))
+                Some((buffers, [placed.nodes, placed.forces()]))
             }
         };
         Ok(Self { first, links, neighbours, stiffness, lattice, buffer })

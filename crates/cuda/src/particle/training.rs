@@ -50,7 +50,6 @@ use crate::{
     error::{CudaError, Result},
     graphs::Graphs,
     kernels::Kernel,
-    particle::lattice::Elasticity,
     training::{Batch, InTraining, Optimizer, Settings, Tables},
 };
 
@@ -64,8 +63,8 @@ pub struct Training {
     optimizer: Optimizer,
     tables: Tables,
     memory: Memory,
-    /// `struct Elasticity` of the kernels, if the network sees jelly after an elastic impulse.
-    elasticity: Option<Buffer>,
+    /// Whether the network sees jelly after an elastic impulse.
+    has_impulses: bool,
     /// The transposed matrices, which the forward pass reads, and the table of those to transpose.
     transposed: Buffer,
     matrices: Buffer,
@@ -89,7 +88,6 @@ impl Training {
         let constants = TrainingConstants::of(description)?;
         let layout = Layout::new(&constants);
         let tables = Tables::new(&device, settings, true)?;
-        let elasticity = Elasticity::on_device(&*device, description)?;
         let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
         let optimizer = Optimizer::new(&device, &layout.packing, settings)?;
         let transposed = device.allocate(4 * layout.packing.size)?;
@@ -104,7 +102,7 @@ impl Training {
             settings: settings.clone(),
             tables,
             memory,
-            elasticity,
+            has_impulses: description.elastic.is_some(),
             constants,
             layout,
             store,

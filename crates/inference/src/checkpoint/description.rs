@@ -10,7 +10,10 @@ use super::{
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules, valid_knots,
 };
-use crate::kernels::{lattice::Lattice, rest_shape::RestShape};
+use crate::{
+    engine::Ballistic,
+    kernels::{lattice::Lattice, rest_shape::RestShape},
+};
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
 
@@ -133,20 +136,24 @@ impl Description {
         (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
     }
 
-    /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape; empty if the network sees
-    /// matter as it is.
+    /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this
+    /// stiffness (density x velocity^2), if the network is conditioned on it; empty if the network sees matter as it is.
     pub fn lattice(
         &self,
         rest: (&RestShape, Range<usize>),
         position: &[[f32; 2]],
         material: &[Material],
+        stiffness: Option<f32>,
     ) -> Lattice {
-        match (&self.elastic, &self.grid) {
-            (Some(elastic), Some(grid)) => {
-                Lattice::new(rest, position, material, grid.spacing, elastic.cell_width)
-            }
-            _ => Lattice::default(),
+        let (Some(mut options), Some(grid)) = (self.elastic, &self.grid) else {
+            return Lattice::default();
+        };
+        let spacing = grid.spacing;
+        if let Some(stiffness) = stiffness {
+            options = options.with_modulus(options.modulus * stiffness, spacing, self.dt);
         }
+        let elasticity = options.elasticity(&Ballistic::new(self), spacing);
+        Lattice::new(rest, position, material, spacing, (options.cell_width, elasticity))
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
@@ -286,10 +293,8 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     }
     rules::check(file, &description.rules)?;
     if let Some(options) = &description.elastic {
-        let expected = "nothing for a network that is conditioned on the stiffness";
-        require(!description.stiffness, "elastic", &"a table", expected)?;
         let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
-        elastic::check(file, options, spacing, *dt)?;
+        elastic::check(file, options, spacing, *dt, description.stiffness)?;
     }
     let corners = format!("{:?}, {:?}", domain.lower, domain.upper);
     require(domain.is_valid(), "domain", &corners, "finite corners with lower < upper")?;

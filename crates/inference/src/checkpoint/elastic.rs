@@ -7,68 +7,72 @@ use serde::{Deserialize, Serialize};
 use super::{CheckpointError, description::field};
 use crate::{
     engine::Ballistic,
-    kernels::lattice::{Contact, Elasticity, Walls},
+    kernels::lattice::{self, Contact, Elasticity},
 };
 
-/// Constants of the impulse that its own stress and the walls give jelly within a frame, after which the network sees it.
+/// Constants of the impulse that its own stress, walls and other bodies of jelly give jelly within a frame, after which the network sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ElasticOptions {
-    /// Young's modulus of jelly (density x velocity^2), at density 1.
+    /// Young's modulus of jelly (density x velocity^2), at density 1; in a network that is conditioned on the stiffness, relative to a stream's.
     pub modulus: f32,
     /// Poisson's ratio of jelly, at least 0 and below 0.5.
     pub poisson_ratio: f32,
-    /// Width of the elements (spacings at rest), 2 to 32.
+    /// Width of the elements (spacings at rest), 2 to 1024; in a network that is conditioned on the stiffness, at least.
     pub cell_width: f32,
-    /// Steps per frame, 1 to 256.
+    /// Steps per frame, 1 to 256; in a network that is conditioned on the stiffness, at least.
     pub steps: usize,
     /// Viscosity, relative to density x speed of pressure waves x width of an element, 0 to 0.5.
     pub viscosity: f32,
     /// Distance from the effective walls within which they push jelly away (spacings at rest), 0 to 16.
     pub wall_distance: f32,
-    /// Stiffness of that push, relative to an element's, 0 to 4.
+    /// Stiffness of that push, relative to the modulus of pressure waves over the square of 3.5 spacings, 0 to 4.
     pub wall_stiffness: f32,
     /// Share of the push while jelly moves away from the wall, 0 to 1.
     pub rebound: f32,
-    /// Distance of points at the surfaces of two bodies, below which they are in contact (spacings at rest), 0 to 16.
+    /// Distance below which parts of the surfaces of two bodies are in contact (spacings at rest), 0 to 16.
     pub contact_distance: f32,
-    /// Stiffness of what keeps them apart, relative to an element's, 0 to 1.
+    /// Stiffness of a spring that keeps them apart, relative to the modulus of pressure waves over the square of 3.5 spacings, 0 to 1.
     pub contact_stiffness: f32,
-    /// Viscosity that makes them move alike, relative to density x speed of pressure waves x width of an element, 0 to 4.
+    /// Rate at which they exchange momentum, relative to the speed of pressure waves over 3.5 spacings, 0 to 4.
     pub contact_viscosity: f32,
 }
 
 impl ElasticOptions {
     /// The most steps per frame.
-    pub const MOST_STEPS: usize = 256;
-    /// Steps in the time that a pressure wave takes to cross an element.
+    pub const MOST_STEPS: usize = lattice::MOST_STEPS;
+    /// Steps in the time that a pressure wave takes to cross an element, with which they are accurate.
     const STEPS_PER_CROSSING: f32 = 2.25;
+    /// Width that the stiffnesses of walls and contact refer to: two parts of a surface (spacings at rest).
+    const SURFACE_WIDTH: f32 = 2.0 * lattice::PART_WIDTH;
 
-    /// For jelly of this modulus (density x velocity^2), particles at this distance (domain lengths) and frames of `dt` seconds: with as
-    /// many steps as are accurate, at most [`ElasticOptions::MOST_STEPS`].
+    /// For jelly of this modulus (density x velocity^2), particles at this distance (domain lengths) and frames of `dt` seconds.
     pub fn new(modulus: f32, spacing: f32, dt: f32) -> Self {
-        let mut options = Self {
-            modulus,
-            poisson_ratio: 0.2,
-            cell_width: 3.5,
-            steps: 1,
-            viscosity: 0.07,
-            wall_distance: 2.85,
-            wall_stiffness: 1.0,
-            rebound: 0.8,
-            contact_distance: 3.5,
-            contact_stiffness: 0.2,
-            contact_viscosity: 4.0,
-        };
-        let steps = (Self::STEPS_PER_CROSSING * options.crossings(spacing, dt)).ceil() as usize;
-        options.steps = steps.clamp(1, Self::MOST_STEPS);
-        options
+        Self::default().with_modulus(modulus, spacing, dt)
+    }
+
+    /// For jelly of another modulus. Where 25 steps are too few for elements 3.5 spacings wide, both grow: stiffer by r^2, jelly has elements
+    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticOptions::MOST_STEPS`].
+    #[must_use]
+    pub fn with_modulus(mut self, modulus: f32, spacing: f32, dt: f32) -> Self {
+        self.modulus = modulus;
+        let steps = Self::STEPS_PER_CROSSING * self.crossings(spacing, dt);
+        let ratio = (steps / self.steps as f32).max(1.0);
+        self.cell_width *= ratio.powf(2.0 / 3.0);
+        let steps = (self.steps as f32 * ratio.cbrt()).ceil() as usize;
+        self.steps = steps.min(Self::MOST_STEPS);
+        self
     }
 
     /// Elements that a pressure wave crosses in a frame of `dt` seconds.
     fn crossings(&self, spacing: f32, dt: f32) -> f32 {
+        dt * self.wave_speed() / (self.cell_width * spacing)
+    }
+
+    /// Speed of pressure waves (domain lengths per second).
+    fn wave_speed(&self) -> f32 {
         let [mu, lambda] = self.lame();
-        dt * (2.0 * mu + lambda).sqrt() / (self.cell_width * spacing)
+        (2.0 * mu + lambda).sqrt()
     }
 
     /// Whether the steps are stable: at least one in the time that a pressure wave takes to cross an element.
@@ -85,32 +89,54 @@ impl ElasticOptions {
     /// The law for frames with this ballistic step, with particles at this distance (domain lengths).
     pub fn elasticity(&self, ballistic: &Ballistic, spacing: f32) -> Elasticity {
         let &Ballistic { gravity, dt, .. } = ballistic;
-        let Self { viscosity, wall_stiffness, rebound, steps, .. } = *self;
-        let lame = self.lame();
+        let Self { viscosity, rebound, steps, .. } = *self;
+        // 1 / the time that a pressure wave takes to cross it.
+        let rate = self.wave_speed() / (Self::SURFACE_WIDTH * spacing);
         let contact = Contact {
             distance: self.contact_distance * spacing,
-            stiffness: self.contact_stiffness,
-            viscosity: self.contact_viscosity,
+            stiffness: self.contact_stiffness * rate * rate,
+            viscosity: self.contact_viscosity * rate,
         };
-        Elasticity { lame, viscosity, wall_stiffness, rebound, contact, steps, dt, gravity }
-    }
-
-    /// Where jelly touches the walls of a ballistic step, with particles at this distance (domain lengths).
-    pub fn walls(&self, ballistic: &Ballistic, spacing: f32) -> Walls {
-        let distance = self.wall_distance * spacing;
-        Walls {
-            lower: ballistic.lower.map(|wall| wall + distance),
-            upper: ballistic.upper.map(|wall| wall - distance),
+        Elasticity {
+            lame: self.lame(),
+            viscosity,
+            wall_distance: self.wall_distance * spacing,
+            wall_stiffness: self.wall_stiffness * rate * rate,
+            rebound,
+            contact,
+            steps,
+            dt,
+            gravity,
         }
     }
 }
 
-/// Checks the constants.
+impl Default for ElasticOptions {
+    /// For jelly whose modulus is .3 of a stream's stiffness.
+    fn default() -> Self {
+        Self {
+            modulus: 0.3,
+            poisson_ratio: 0.2,
+            cell_width: 3.5,
+            steps: 25,
+            viscosity: 0.07,
+            wall_distance: 2.85,
+            wall_stiffness: 1.0,
+            rebound: 0.8,
+            contact_distance: 3.5,
+            contact_stiffness: 0.2,
+            contact_viscosity: 4.0,
+        }
+    }
+}
+
+/// Checks the constants; those of a network that is conditioned on the stiffness fit every stream.
 pub(super) fn check(
     file: &Path,
     options: &ElasticOptions,
     spacing: f32,
     dt: f32,
+    is_conditioned: bool,
 ) -> Result<(), CheckpointError> {
     let ElasticOptions { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
     let ElasticOptions { viscosity, wall_stiffness, rebound, .. } = *options;
@@ -124,7 +150,7 @@ pub(super) fn check(
             (0.0..0.5).contains(&poisson_ratio),
             "at least 0, below 0.5",
         ),
-        ("cell_width", cell_width, (2.0..=32.0).contains(&cell_width), "2 to 32"),
+        ("cell_width", cell_width, (2.0..=1024.0).contains(&cell_width), "2 to 1024"),
         ("viscosity", viscosity, (0.0..=0.5).contains(&viscosity), "0 to 0.5"),
         ("wall_distance", wall_distance, (0.0..=16.0).contains(&wall_distance), "0 to 16"),
         ("wall_stiffness", wall_stiffness, (0.0..=4.0).contains(&wall_stiffness), "0 to 4"),
@@ -151,7 +177,7 @@ pub(super) fn check(
     if !(1..=ElasticOptions::MOST_STEPS).contains(&steps) {
         return Err(field(file, "elastic.steps", steps.to_string(), "1 to 256"));
     }
-    if !options.is_stable(spacing, dt) {
+    if !is_conditioned && !options.is_stable(spacing, dt) {
         let expected =
             "at least one step in the time that a pressure wave takes to cross an element";
         return Err(field(file, "elastic.steps", steps.to_string(), expected));

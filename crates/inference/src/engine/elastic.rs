@@ -1,18 +1,7 @@
 //! The elastic impulse of jelly in a frame, after which the particle model sees it.
 
 use super::{Ballistic, HiddenState};
-use crate::{
-    checkpoint::{Description, ElasticOptions},
-    kernels::lattice,
-};
-
-/// The constants of a checkpoint.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Elastic {
-    options: ElasticOptions,
-    /// Distance between particles at rest (domain lengths).
-    spacing: f32,
-}
+use crate::kernels::lattice::{self, Walls};
 
 /// Buffers of a frame, by rows of the hidden state.
 #[derive(Debug, Default)]
@@ -32,21 +21,12 @@ pub(super) struct Seen<'a> {
     pub(super) displacement: &'a [[f32; 2]],
 }
 
-impl Elastic {
-    /// Of the described network, if it has one.
-    pub(super) fn new(description: &Description) -> Option<Self> {
-        let (options, grid) = (description.elastic?, description.grid.as_ref()?);
-        Some(Self { options, spacing: grid.spacing })
-    }
-}
-
 impl Scratch {
     /// The impulses of a frame's positions and velocities, by rows of the hidden state.
     pub(super) fn apply<'a>(
         &'a mut self,
-        Elastic { options, spacing }: &Elastic,
         hidden: &HiddenState,
-        ballistic: &Ballistic,
+        &Ballistic { lower, upper, .. }: &Ballistic,
         (position, velocity): (&[[f32; 2]], &'a [[f32; 2]]),
     ) -> Seen<'a> {
         if hidden.lattice.is_empty() {
@@ -56,10 +36,9 @@ impl Scratch {
         velocity.clone_into(changed);
         displacement.clear();
         displacement.resize(velocity.len(), [0.0; 2]);
-        let elasticity = options.elasticity(ballistic, *spacing);
-        let walls = options.walls(ballistic, *spacing);
+        let walls = Walls { lower, upper };
         let moved = (position, velocity);
-        for (row, impulse) in hidden.lattice.impulses(&elasticity, &walls, moved, lattice) {
+        for (row, impulse) in hidden.lattice.impulses(&walls, moved, lattice) {
             let [x, y] = impulse.velocity_change;
             changed[row] = [changed[row][0] + x, changed[row][1] + y];
             displacement[row] = impulse.displacement;

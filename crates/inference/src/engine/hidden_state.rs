@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{DeviceState, order::spatial_order, stepper::Network};
+use super::{DeviceState, order::spatial_order, scales::stiffness_feature, stepper::Network};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
     kernels::{lattice::Lattice, rest_shape::RestShape},
@@ -17,15 +17,19 @@ pub(super) fn stride(hidden: usize) -> usize {
     hidden.next_multiple_of(LINE)
 }
 
-/// The rest shapes and lattices of a stream that begins with `frame`, in the order of its particles; empty if the described network
-/// does not use them.
-pub(super) fn rest(description: &Description, frame: &Frame) -> (RestShape, Lattice) {
+/// The rest shapes and lattices of a stream of this stiffness (density x velocity^2) that begins with `frame`, in the order of its particles;
+/// empty if the described network does not use them.
+pub(super) fn rest(
+    description: &Description,
+    frame: &Frame,
+    stiffness: Option<f32>,
+) -> (RestShape, Lattice) {
     let Some(&GridOptions { spacing, .. }) = description.grid.as_ref() else {
         return Default::default();
     };
     let Frame { position, material, .. } = frame;
     let rest = RestShape::new(position, material, 1, spacing);
-    let lattice = description.lattice((&rest, 0..position.len()), position, material);
+    let lattice = description.lattice((&rest, 0..position.len()), position, material, stiffness);
     (rest, lattice)
 }
 
@@ -63,13 +67,14 @@ pub struct HiddenState {
 }
 
 impl HiddenState {
-    /// The state for the particles of `frame` before the first observed frame.
+    /// The state for the particles of `frame` before the first observed frame, in a stream of this stiffness (density x velocity^2), if the
+    /// network is conditioned on it.
     pub(super) fn new(description: &Description, frame: &Frame, stiffness: Option<f32>) -> Self {
         let particles = frame.len();
         let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
         let mut order = Vec::new();
         // Built before reordering: the choice among equally distant neighbours must not depend on the order.
-        let (mut rest, mut lattice) = rest(description, frame);
+        let (mut rest, mut lattice) = rest(description, frame, stiffness);
         if let Some(&GridOptions { cell_width, .. }) = description.grid.as_ref() {
             order = spatial_order(frame, cell_width);
             (rest, lattice) = (rest.permuted(&order), lattice.permuted(&order));
@@ -87,7 +92,7 @@ impl HiddenState {
             material,
             rest: Arc::new(rest),
             lattice: Arc::new(lattice),
-            stiffness,
+            stiffness: stiffness.map(stiffness_feature),
             network: None,
             hidden: vec![0.0; states],
             cell: vec![0.0; cells],

@@ -12,7 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
-    elastic::{self, Elastic},
+    elastic,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::Linear,
@@ -52,7 +52,6 @@ pub(super) struct ParticleModel {
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
-    elastic: Option<Elastic>,
     rules: RuleSet,
     /// The stages of a frame, in order.
     pub(super) stages: Vec<Stage>,
@@ -114,7 +113,6 @@ impl ParticleModel {
             hidden: description.sizes.hidden,
             slowest,
             fastest,
-            elastic: Elastic::new(description),
             stages: stages(&grid, &rules),
             grid,
             rules,
@@ -187,10 +185,7 @@ impl ParticleModel {
             rules,
             buffers,
         } = scratch;
-        let seen = match &self.elastic {
-            Some(rule) => elastic.apply(rule, hidden_state, &ballistic, (position, velocity)),
-            None => elastic::Seen { velocity, displacement: &[] },
-        };
+        let seen = elastic.apply(hidden_state, &ballistic, (position, velocity));
         let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {

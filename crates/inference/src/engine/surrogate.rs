@@ -300,17 +300,16 @@ impl Surrogate {
         let own = self.by_stiffness.as_ref().zip(stiffness);
         let own = own.map(|(weights, stiffness)| weights.network(stiffness)).transpose()?;
         let network = own.as_ref().unwrap_or(&self.network);
-        let stiffness = stiffness.map(stiffness_feature);
         let hidden = match &**network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-                let (rest, lattice) = hidden_state::rest(&self.description, frame);
+                let (rest, lattice) = hidden_state::rest(&self.description, frame, stiffness);
                 let state = device.start(&StreamStart {
                     material: &material,
                     domain: frame.domain,
                     rest: &rest,
                     lattice: &lattice,
-                    stiffness,
+                    stiffness: stiffness.map(stiffness_feature),
                 })?;
                 HiddenState::on_device(material, state)
             }

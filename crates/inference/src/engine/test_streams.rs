@@ -70,8 +70,11 @@ pub(super) fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
 /// The described particle model, which sees jelly after its elastic impulse.
 pub(super) fn elastic(description: &Description) -> Description {
     let spacing = description.grid.as_ref().unwrap().spacing;
-    let elastic = Some(ElasticOptions::new(300.0, spacing, DT));
-    Description { elastic, ..description.clone() }
+    let elastic = match description.stiffness {
+        true => ElasticOptions::default(),
+        false => ElasticOptions::new(300.0, spacing, DT),
+    };
+    Description { elastic: Some(elastic), ..description.clone() }
 }
 
 /// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that touches it, turns, and is stretched more and more, and
@@ -84,7 +87,8 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
             [0, 1].map(|axis| corner[axis] + SPACING * at[axis])
         })
     };
-    let rest: Vec<_> = [[0.06, 0.1], [0.36, 0.12], [0.6, 0.6]].into_iter().flat_map(block).collect();
+    let rest: Vec<_> =
+        [[0.06, 0.1], [0.36, 0.12], [0.6, 0.6]].into_iter().flat_map(block).collect();
     let kinds = [Material::Jelly, Material::Jelly, Material::Liquid];
     let frame = |time: u32| {
         let (sin, cos) = (0.2 * time as f32).sin_cos();

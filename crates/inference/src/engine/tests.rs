@@ -530,6 +530,23 @@ fn particles_outside_the_domain_neither_stop_the_engine_nor_stay_outside() {
 }
 
 #[test]
+fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
+    let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
+    let plain = description(Architecture::Particle, Core::MinGru, sizes);
+    let conditioned = elastic(&Description { stiffness: true, ..plain });
+    let surrogate = Surrogate::load(&checkpoint(conditioned, 5), threads(1)).unwrap();
+    let frame = &jelly(1)[0];
+    let [soft, stiff] = [1e3, 1e5].map(|stiffness| {
+        let hidden = surrogate.start_with_stiffness(frame, Some(stiffness)).unwrap();
+        let lattice = hidden.lattice;
+        (lattice.elasticity().lame[0], lattice.elasticity().steps, lattice.inverse_mass().len())
+    });
+    assert!((soft.0 / 125.0 - 1.0).abs() < 1e-5, "300 / (2 (1 + .2))");
+    assert!((stiff.0 / soft.0 / 100.0 - 1.0).abs() < 1e-5);
+    assert!(soft.1 < stiff.1 && soft.2 > stiff.2, "{soft:?}, {stiff:?}");
+}
+
+#[test]
 fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_move_jelly_only() {
     let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
     let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);

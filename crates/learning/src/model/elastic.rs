@@ -8,13 +8,12 @@ use super::state::{ParticleState, StaticInputs, pairs};
 use eddy_inference::{
     checkpoint::Description,
     engine::{Ballistic, scales::velocity_unit},
-    kernels::lattice::{Elasticity, Scratch, Walls},
+    kernels::lattice::{Scratch, Walls},
 };
 
 /// The constants of a described network.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Elastic {
-    elasticity: Elasticity,
     walls: Walls,
     /// Unit of the decoder's positions (domain lengths).
     unit: f32,
@@ -31,12 +30,11 @@ pub(crate) struct Seen {
 impl Elastic {
     /// None if the network sees matter as it is.
     pub(crate) fn new(description: &Description) -> Option<Self> {
-        let (options, grid) = (description.elastic?, description.grid.as_ref()?);
-        let ballistic = Ballistic::new(description);
+        description.elastic?;
+        let Ballistic { lower, upper, dt, .. } = Ballistic::new(description);
         Some(Self {
-            elasticity: options.elasticity(&ballistic, grid.spacing),
-            walls: options.walls(&ballistic, grid.spacing),
-            unit: velocity_unit(&description.normalization) * ballistic.dt,
+            walls: Walls { lower, upper },
+            unit: velocity_unit(&description.normalization) * dt,
         })
     }
 
@@ -55,7 +53,7 @@ impl Elastic {
         own.zip(to).enumerate().for_each(|(window, ((position, velocity), (change, offset)))| {
             let lattice = &fixed.lattices[window % fixed.windows];
             let (moved, mut scratch) = ((position, velocity), Scratch::default());
-            let impulses = lattice.impulses(&self.elasticity, &self.walls, moved, &mut scratch);
+            let impulses = lattice.impulses(&self.walls, moved, &mut scratch);
             for (row, impulse) in impulses {
                 change[row] = impulse.velocity_change;
                 let [x, y] = impulse.displacement.map(|x| x / self.unit);

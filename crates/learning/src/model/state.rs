@@ -61,7 +61,8 @@ impl StaticInputs {
             let rows = position.par_chunks(each).zip(material.par_chunks(each)).enumerate();
             let lattice = |(window, (position, material))| {
                 let rows = window * each..(window + 1) * each;
-                description.lattice((&rest, rows), position, material)
+                let stiffness = stiffness.map(|all| all[window]);
+                description.lattice((&rest, rows), position, material, stiffness)
             };
             lattices = rows.map(lattice).collect();
         }

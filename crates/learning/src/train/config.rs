@@ -89,8 +89,8 @@ pub struct NetworkConfig {
     /// their own; a stream's are interpolated in the logarithm of its stiffness. Each batch is of about one stiffness then.
     #[serde(default)]
     pub stiffness_knots: Vec<f32>,
-    /// Particle model that is not conditioned on the stiffness: Young's modulus of jelly (density x velocity^2), 300 in scenes of E = 1e3,
-    /// to compute jelly's own elastic impulse, after which the network sees it; 0: none.
+    /// Particle model: Young's modulus of jelly (density x velocity^2), 300 in scenes of E = 1e3, to compute jelly's own elastic impulse, after
+    /// which the network sees it; for a network that is conditioned on the stiffness, relative to a stream's, .3 in all scenes; 0: none.
     #[serde(default)]
     pub elastic_modulus: f32,
     /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
@@ -295,7 +295,11 @@ impl TrainConfig {
     /// The particle model's elastic impulse of jelly, for particles with this spacing (domain lengths) and frames of `dt` seconds.
     pub(super) fn elastic(&self, spacing: f32, dt: f32) -> Option<ElasticOptions> {
         let modulus = self.network.elastic_modulus;
-        (modulus > 0.0).then(|| ElasticOptions::new(modulus, spacing, dt))
+        // Each stream has its own where the network is conditioned on the stiffness.
+        (modulus > 0.0).then(|| match self.network.stiffness {
+            true => ElasticOptions { modulus, ..ElasticOptions::default() },
+            false => ElasticOptions::new(modulus, spacing, dt),
+        })
     }
 
     /// Batches per epoch.
@@ -354,9 +358,10 @@ impl TrainConfig {
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
         let modulus = self.network.elastic_modulus;
-        let particle = self.architecture == Architecture::Particle && !self.network.stiffness;
-        let valid = modulus == 0.0 || (modulus > 0.0 && modulus.is_finite() && particle);
-        let expected = "0 or more; 0 for the frame model and with network.stiffness";
+        let particle = self.architecture == Architecture::Particle;
+        let most = if self.network.stiffness { 10.0 } else { f32::MAX };
+        let valid = modulus == 0.0 || (modulus > 0.0 && modulus <= most && particle);
+        let expected = "0 or more; at most 10, relative to a stream's stiffness, with network.stiffness; 0 for the frame model";
         require("network.elastic_modulus", modulus, valid, expected)?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
         require("network.form", "log", valid, "plain: only minGRU and minLSTM have both")?;

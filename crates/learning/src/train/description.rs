@@ -6,7 +6,8 @@ use super::{TrainConfig, TrainError, config::setting, record::different_setting}
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Checkpoint, Description, FORMAT_VERSION, Rules, TrainingSummary, WeightFormat,
+    Architecture, Checkpoint, Description, ElasticOptions, FORMAT_VERSION, Rules, TrainingSummary,
+    WeightFormat,
 };
 
 /// The description of the untrained network.
@@ -34,7 +35,8 @@ pub(super) fn describe(
     let materials: BTreeSet<Material> =
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
     let elastic = config.elastic(dataset.spacing, first.dt);
-    if elastic.is_some_and(|elastic| !elastic.is_stable(dataset.spacing, first.dt)) {
+    let is_unstable = |elastic: &ElasticOptions| !elastic.is_stable(dataset.spacing, first.dt);
+    if !config.network.stiffness && elastic.as_ref().is_some_and(is_unstable) {
         let modulus = config.network.elastic_modulus;
         let expected = "a modulus whose pressure waves cross at most 256 elements a frame";
         return Err(setting("network.elastic_modulus", modulus, expected));

@@ -71,7 +71,7 @@ struct Plan {
   u32* unsorted;             // particles by cells, in any order within a cell
   float* by_inputs;          // [.., CONCAT]
   Body* lattice_nodes;       // [.., 2, most_lattice_nodes]
-  float* lattice_forces;     // [.., most_lattice_points, 12]
+  float* lattice_forces;     // [.., most_lattice_forces]
   // Gradients that go from a frame to the one before.
   Body* by_state;            // [B, most]
   float* by_output;          // [LAYERS, B, most, H4] by the core's outputs
@@ -92,7 +92,7 @@ struct Plan {
   float unit;                // of velocities
   float slowest[DIM], fastest[DIM];
   float sides, even;         // left plus right wall; weight of observed frames
-  u32 most_lattice_nodes, most_lattice_points;
+  u32 most_lattice_nodes, most_lattice_forces;
 };
 
 __device__ __forceinline__ const Window& window_of(const Plan& s, int b) { return s.windows[(size_t)s.progress->step * s.batch + b]; }

@@ -4,7 +4,7 @@ use eddy_inference::kernels::lattice::Lattice;
 
 use super::Training;
 use crate::{
-    device::{Argument, Buffer, Shape},
+    device::{Buffer, Shape},
     error::Result,
     kernels::Kernel,
     particle::lattice::{ELASTIC_THREADS, MOST_NODES, Placed},
@@ -36,7 +36,7 @@ impl Lattices {
     ) -> Result<Option<DeviceLattices>> {
         self.placed.resize(2 * streams, Placed::default());
         let most = |of: fn(&Placed) -> usize| self.placed.iter().map(of).max().unwrap_or(0);
-        let most = [most(|placed| placed.nodes), most(|placed| placed.points)];
+        let most = [most(|placed| placed.nodes), most(Placed::forces)];
         if most == [0; 2] {
             return Ok(None);
         }
@@ -51,7 +51,7 @@ impl Lattices {
 pub(super) struct DeviceLattices {
     /// `struct Lattice` of the kernels, `[2 streams]`.
     table: Buffer,
-    /// Nodes and points of the largest.
+    /// Nodes of the largest, and numbers of 4 bytes of its forces ([`Placed::forces`]).
     pub(super) most: [usize; 2],
     _lists: Buffer,
 }
@@ -62,11 +62,11 @@ pub(in super::super) fn elastic_bytes(
     streams: impl IntoIterator<Item = usize>,
     settings: &[Settings],
 ) -> u64 {
-    /// Of a particle: its row, corners and samples, and its share of points, which may all be at a surface.
+    /// Of a particle: its row, corners and samples, and its share of points and of parts of surfaces.
     const PARTICLE: u64 = 36 + 32 + 40 + 12;
     /// Particles of a node, at least.
     const OF_NODE: u64 = 4;
-    /// Of a particle in a step: its share of nodes and points.
+    /// Of a particle in a step: its share of nodes, and of points or parts.
     const SCRATCH: u64 = 8 + 48;
     /// Of a particle in a frame of a step: its impulse.
     const IMPULSE: u64 = 16;
@@ -90,12 +90,11 @@ pub(in super::super) fn elastic_bytes(
 impl Training {
     /// The elastic impulses of `sheets` windows' frames from `sheet` on.
     pub(super) fn impulses(&self, sheet: usize, sheets: usize) -> Result<()> {
-        let (Some(law), Some(lattices)) = (&self.elasticity, &self.store.lattices) else {
+        let Some(lattices) = self.store.lattices.as_ref().filter(|_| self.has_impulses) else {
             return Ok(());
         };
-        let addresses = [&lattices.table, law].map(|buffer| buffer.address().into());
-        let [table, law]: [Argument; 2] = addresses;
         let shape = Shape::new(1, sheets, ELASTIC_THREADS);
-        self.launch(Kernel::TrainElastic, shape, &[self.plan(), table, law, sheet.into()])
+        let arguments = [self.plan(), lattices.table.address().into(), sheet.into()];
+        self.launch(Kernel::TrainElastic, shape, &arguments)
     }
 }

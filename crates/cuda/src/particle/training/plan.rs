@@ -18,7 +18,7 @@ use crate::{
     device::{Address, Buffer, Device},
     error::Result,
     kernels::AXES,
-    particle::{lattice::POINT_SCRATCH, stream::cells_across},
+    particle::stream::cells_across,
     training::{Settings, Tables},
 };
 
@@ -219,7 +219,7 @@ impl Memory {
         let states = network.layers * (rows + carried_rows) * units;
         let lattices = store.lattices.as_ref().filter(|_| description.elastic.is_some());
         let most_lattice = lattices.map_or([0; 2], |lattices| lattices.most);
-        let [lattice_nodes, lattice_points] = most_lattice;
+        let [lattice_nodes, lattice_forces] = most_lattice;
         let plan = Plan {
             store: at(&store.bodies),
             counts: at(&store.counts),
@@ -266,7 +266,7 @@ impl Memory {
             unsorted: lists.next(together * most)?,
             by_inputs: lists.next(together * most * network.context_rows())?,
             lattice_nodes: lists.next(together * 2 * lattice_nodes * BODY)?,
-            lattice_forces: lists.next(together * lattice_points * POINT_SCRATCH)?,
+            lattice_forces: lists.next(together * lattice_forces)?,
             by_state: at(&carried[3]),
             by_output: at(&carried[0]),
             by_cell: at(&carried[1]),

@@ -11,8 +11,8 @@ use crate::kernels::rest_shape::RestShape;
 const CONNECTED: f32 = 1.5;
 /// Share of the particles of a full element that fill it.
 const FILLED: f64 = 0.4;
-/// Elements of a body's bounding box at most, for each of its particles.
-const MOST_ELEMENTS: usize = 64;
+/// Largest area of a body's bounding box for each of its particles (squared spacings).
+const MOST_AREA: f64 = 256.0;
 /// Points along a side of an element.
 const POINTS: usize = 2;
 
@@ -72,8 +72,8 @@ pub(super) struct Cover {
 pub(super) type Corner = (usize, f64, [f64; 2]);
 
 impl Cover {
-    /// Elements of at least this width, unless the body is narrower, that end where the particles' area does. None if there would be far
-    /// more elements than particles.
+    /// Elements of at least this width, unless the body is narrower, that end where the particles' area does. None if its box is far
+    /// larger than the particles' area.
     pub(super) fn new(places: &[[f64; 2]], spacing: f64, width: f64) -> Option<Self> {
         let (mut origin, mut widths, mut cells) = ([0.0; 2], [0.0; 2], [1; 2]);
         for axis in 0..2 {
@@ -85,13 +85,14 @@ impl Cover {
             (origin[axis], widths[axis]) = (low, extent / cells[axis] as f64);
         }
         let count = cells[0].saturating_mul(cells[1]);
-        if count > MOST_ELEMENTS * places.len() {
+        let area = widths[0] * widths[1] * count as f64 / (spacing * spacing);
+        if area > MOST_AREA * places.len() as f64 {
             return None;
         }
         let mut cover = Self { origin, width: widths, cells, home: Vec::new() };
         let mut counts = vec![0u32; count];
         for &place in places {
-            counts[cover.index(cover.part(place, 1))] += 1;
+            counts[cover.index(cover.own_element(place))] += 1;
         }
         let least = FILLED * widths[0] * widths[1] / (spacing * spacing);
         let is_filled = |element: [usize; 2]| f64::from(counts[cover.index(element)]) >= least;
@@ -124,18 +125,31 @@ impl Cover {
         y * self.cells[0] + x
     }
 
-    /// The part of width / `parts` that a place is in.
-    fn part(&self, place: [f64; 2], parts: usize) -> [usize; 2] {
+    /// The part that a place is in, of so many along each axis.
+    fn part(&self, place: [f64; 2], count: [usize; 2]) -> [usize; 2] {
         [0, 1].map(|axis| {
-            let at = (place[axis] - self.origin[axis]) / self.width[axis] * parts as f64;
-            (at.max(0.0) as usize).min(parts * self.cells[axis] - 1)
+            let extent = self.width[axis] * self.cells[axis] as f64;
+            let at = (place[axis] - self.origin[axis]) / extent * count[axis] as f64;
+            (at.max(0.0) as usize).min(count[axis] - 1)
         })
+    }
+
+    /// The element that a place is in.
+    fn own_element(&self, place: [f64; 2]) -> [usize; 2] {
+        self.part(place, self.cells)
     }
 
     /// The element whose shape functions are those of a particle's place.
     pub(super) fn element(&self, place: [f64; 2]) -> [usize; 2] {
-        let own = self.part(place, 1);
+        let own = self.own_element(place);
         self.home[self.index(own)].unwrap_or(own)
+    }
+
+    /// The nodes of a part's element, with their shape functions at its middle. Beside elements with particles, it has the element of one of
+    /// its own.
+    pub(super) fn corners_of(&self, part: &Part) -> [Corner; 4] {
+        let own = self.home[self.index(self.own_element(part.middle))];
+        self.corners(part.middle, own.unwrap_or_else(|| self.element(part.first)))
     }
 
     /// A node's place in the order along the shorter side first, in which coupled ones are near each other.
@@ -170,36 +184,53 @@ impl Cover {
         })
     }
 
-    /// Those quarters of elements that have particles.
-    pub(super) fn quarters(&self, places: &[[f64; 2]]) -> impl Iterator<Item = Quarter> {
-        let (across, up) = (POINTS * self.cells[0], POINTS * self.cells[1]);
-        let mut counts = vec![0u32; across * up];
-        for &place in places {
-            let [x, y] = self.part(place, POINTS);
-            counts[y * across + x] += 1;
-        }
-        let quarter = move |index: usize| {
-            let at = [index % across, index / across];
-            let along = |axis: usize| (at[axis] as f64 + 0.5) / POINTS as f64 * self.width[axis];
-            let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
-            let neighbours =
-                near(at[1], up).flat_map(|y| near(at[0], across).map(move |x| y * across + x));
-            let around = neighbours.filter(|&other| counts[other] > 0).count();
-            let middle = [0, 1].map(|axis| self.origin[axis] + along(axis));
-            Quarter { middle, particles: counts[index], is_outer: around < 9 }
+    /// The quarters of elements.
+    pub(super) fn quarters(&self, places: &[[f64; 2]]) -> Vec<Part> {
+        self.parts(places, self.cells.map(|cells| POINTS * cells)).into_iter().flatten().collect()
+    }
+
+    /// The parts of about this width at the surface: there are no particles in a part beside them.
+    pub(super) fn surface(&self, places: &[[f64; 2]], width: f64) -> Vec<Part> {
+        let extents = [0, 1].map(|axis| self.width[axis] * self.cells[axis] as f64);
+        let [across, up] = extents.map(|extent| ((extent / width).round() as usize).max(1));
+        let parts = self.parts(places, [across, up]);
+        let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
+        let is_inner = |index: usize| {
+            let [x, y] = [index % across, index / across];
+            let around = near(y, up).flat_map(|y| near(x, across).map(move |x| y * across + x));
+            around.filter(|&other| parts[other].is_some()).count() == 9
         };
-        (0..across * up).map(quarter).filter(|quarter| quarter.particles > 0)
+        (0..parts.len())
+            .filter(|&index| parts[index].is_some() && !is_inner(index))
+            .filter_map(|index| parts[index])
+            .collect()
+    }
+
+    /// So many parts of the body's box along each axis, row by row; none where there is no particle.
+    fn parts(&self, places: &[[f64; 2]], count: [usize; 2]) -> Vec<Option<Part>> {
+        let mut parts: Vec<Option<Part>> = vec![None; count[0] * count[1]];
+        for place in places {
+            let [x, y] = self.part(*place, count);
+            let part = &mut parts[y * count[0] + x];
+            let part = part.get_or_insert_with(|| Part { first: *place, ..Part::default() });
+            part.particles += 1.0;
+            for axis in 0..2 {
+                part.middle[axis] += (place[axis] - part.middle[axis]) / part.particles;
+            }
+        }
+        parts
     }
 }
 
 /// A part of a body.
-pub(super) struct Quarter {
-    /// Its place at rest (domain lengths).
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Part {
+    /// The mean place of its particles at rest (domain lengths).
     pub(super) middle: [f64; 2],
-    /// Number of its particles.
-    pub(super) particles: u32,
-    /// Whether there are no particles in a part beside it.
-    pub(super) is_outer: bool,
+    /// The place of one of them.
+    first: [f64; 2],
+    /// Their number.
+    pub(super) particles: f64,
 }
 
 /// The corners of an element.

@@ -12,45 +12,58 @@
 //!    with little mass.
 //! 2. Nodes (`fit`): their positions and velocities are the least-squares fit to those of the particles. What the lattice cannot resolve is
 //!    orthogonal to it, moves freely, and does not disturb the steps of the nodes from frame to frame.
-//! 3. Points (`stress`): a quarter of an element each, with the mass and area of its particles. From the deformation gradient and its rate there
-//!    follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the grid of the material-point
-//!    method does), and the forces on the nodes. Beyond the plane of contact with a wall, a point is pushed back by a spring, less while it
-//!    moves away, without friction.
-//! 4. Contact (`contact`): in the ground truth, bodies that are closer than the splines of the grid are wide move with common velocities.
-//!    Here, a viscosity between the points at their surfaces exchanges momentum, and a weak spring keeps them apart.
+//! 3. Points (`stress`): a quarter of an element each, where the mean of its particles is, with their mass and area. From the deformation
+//!    gradient and its rate there follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the
+//!    grid of the material-point method does), and its forces on the nodes.
+//! 4. Surfaces (`surface`), in parts that are as wide as a cell of that grid, whatever the width of elements is. Beyond the plane of contact
+//!    with a wall, a part is pushed back by a spring, less while it moves away, without friction. In the ground truth, bodies that are closer
+//!    than the splines of the grid are wide move with common velocities: here, a viscosity between the parts of different bodies exchanges
+//!    momentum, and a weak spring keeps them apart.
 //! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
 
-mod contact;
 mod cover;
 mod fit;
 mod stress;
+mod surface;
 
 use std::ops::Range;
 
 use eddy_frames::Material;
 
 use super::rest_shape::RestShape;
-use contact::Surfaces;
-use cover::{Cover, Quarter};
+use cover::Cover;
 pub use fit::Band;
+use surface::Surfaces;
 
 /// Particles of a body at least: smaller ones have no lattice.
 const MIN_PARTICLES: usize = 16;
+/// Width of the parts of a surface: about that of a cell of the ground truth's grid, which is two spacings wide (spacings).
+pub const PART_WIDTH: f32 = 1.75;
+/// Steps at least in the time that a pressure wave takes to cross the narrowest element. Fewer are unstable; more are accurate.
+const STEPS_PER_CROSSING: f32 = 1.5;
+/// Largest change of a velocity by its own by walls and contact in a step: 2 and more are unstable, and elasticity adds to it.
+const STABLE: f32 = 1.5;
+/// Share of the contact distance by which bodies that push each other mostly overlap.
+const OVERLAP: f32 = 0.35;
+/// Steps per frame at most.
+pub const MOST_STEPS: usize = 256;
 /// Mass of a node at least, as a share of that of a full element.
 const LIGHTEST: f64 = 0.1;
 /// Largest change of a node's velocity within a frame (domain lengths per second): beyond it, its lattice has diverged.
 const FASTEST: f32 = 64.0;
 
 /// The law of an elastic material of density 1, and the frames.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Elasticity {
     /// Shear modulus mu, and first Lame parameter lambda (density x velocity^2).
     pub lame: [f32; 2],
     /// Viscosity, relative to density x speed of pressure waves x width of an element.
     pub viscosity: f32,
-    /// Stiffness of walls, relative to that of an element: lambda + 2 mu over its squared width, as an acceleration per depth.
+    /// Distance from walls within which they push (domain lengths).
+    pub wall_distance: f32,
+    /// Acceleration by them per depth (1 / s^2).
     pub wall_stiffness: f32,
-    /// Share of the walls' push while a point moves away from them, but for the slowest.
+    /// Share of the walls' push while a part moves away from them, but for the slowest.
     pub rebound: f32,
     /// Between bodies.
     pub contact: Contact,
@@ -62,18 +75,48 @@ pub struct Elasticity {
     pub gravity: [f32; 2],
 }
 
-/// What points at the surfaces of different bodies do to each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+impl Elasticity {
+    /// Steps per frame that a body needs whose narrowest element has this width (domain lengths) and whose nodes, from `first` on, have
+    /// these parts of its surface.
+    fn least_steps(
+        &self,
+        narrowest: f32,
+        first: u32,
+        inverse_mass: &[f32],
+        surface: &[SurfacePart],
+    ) -> f32 {
+        let [mu, lambda] = self.lame;
+        let crossings = (lambda + 2.0 * mu).sqrt() * self.dt / narrowest;
+        let mut pushed = vec![0.0; inverse_mass.len()];
+        for SurfacePart { nodes, weights, particles } in surface {
+            for (node, weight) in nodes.iter().zip(weights) {
+                pushed[(node - first) as usize] += weight.abs() * particles;
+            }
+        }
+        // Of a node's velocity, if all parts of the surface around it are pushed.
+        let share = pushed.iter().zip(inverse_mass).map(|(mass, inverse)| mass * inverse);
+        let share = share.fold(0.0, f32::max);
+        let spring = 0.5 * self.wall_stiffness * share;
+        let exchange = OVERLAP * self.contact.viscosity * share;
+        // The step h with h^2 spring + h exchange = STABLE.
+        let root = (exchange * exchange + 4.0 * spring * STABLE).sqrt();
+        let of_surface = self.dt * (exchange + root) / (2.0 * STABLE);
+        of_surface.max(STEPS_PER_CROSSING * crossings)
+    }
+}
+
+/// What parts of the surfaces of different bodies do to each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Contact {
     /// Below this distance (domain lengths), from where on both of the following grow linearly.
     pub distance: f32,
-    /// Stiffness of a spring that keeps them apart, relative to an element's.
+    /// Acceleration that keeps them apart, per depth (1 / s^2).
     pub stiffness: f32,
-    /// Viscosity that makes them move alike, relative to density x speed of pressure waves x width of an element.
+    /// Rate at which they exchange momentum where they touch (1 / s).
     pub viscosity: f32,
 }
 
-/// Where bodies touch walls (domain lengths).
+/// Where a ballistic step stops at walls (domain lengths).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Walls {
     /// Left and lower.
@@ -105,19 +148,29 @@ pub struct Share {
 pub struct Point {
     /// The element's nodes.
     pub nodes: [u32; 4],
-    /// Value of each node's shape function.
-    pub weights: [f32; 4],
-    /// Its gradient (1 / domain lengths).
+    /// Gradient of each node's shape function (1 / domain lengths).
     pub gradients: [[f32; 2]; 4],
     /// Number of its particles.
     pub particles: f32,
-    /// Width of the element, the mean of both axes, for viscosity and walls (domain lengths).
+    /// Width of the element, the mean of both axes, for viscosity (domain lengths).
     pub width: f32,
+}
+
+/// A part of a body at its surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePart {
+    /// The nodes of its element.
+    pub nodes: [u32; 4],
+    /// Value of each node's shape function.
+    pub weights: [f32; 4],
+    /// Number of its particles.
+    pub particles: f32,
 }
 
 /// The lattices of a stream's bodies of jelly.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lattice {
+    elasticity: Elasticity,
     /// Row of each particle of a body, `[P]`.
     rows: Vec<u32>,
     /// The nodes of its element, and their shape functions there, `[P, 4]`.
@@ -138,7 +191,7 @@ pub struct Scratch {
     start: Vec<Node>,
     residuals: Vec<Node>,
     impulses: Vec<Impulse>,
-    contact: contact::Scratch,
+    surface: surface::Scratch,
 }
 
 /// A node within a frame.
@@ -154,7 +207,8 @@ struct Node {
 
 impl Lattice {
     /// The lattices of particles at `position` (domain lengths) whose rest shape has the rows `rows` of `rest`; elements are as wide as
-    /// `cell_width` spacings (domain lengths).
+    /// `cell_width` spacings (domain lengths), or as a body that is narrower. Steps are as short as all bodies need them; one that needs more
+    /// than [`MOST_STEPS`] has no lattice.
     ///
     /// # Panics
     /// If the numbers of rows, materials and positions differ.
@@ -163,10 +217,10 @@ impl Lattice {
         position: &[[f32; 2]],
         material: &[Material],
         spacing: f32,
-        cell_width: f32,
+        (cell_width, elasticity): (f32, Elasticity),
     ) -> Self {
         assert_eq!((position.len(), material.len()), (rows.len(), rows.len()));
-        let mut lattice = Self::default();
+        let mut lattice = Self { elasticity, ..Self::default() };
         for body in cover::bodies((rest, rows), material, spacing) {
             if body.len() >= MIN_PARTICLES {
                 let place = |&row: &u32| position[row as usize].map(f64::from);
@@ -213,12 +267,17 @@ impl Lattice {
         &self.points
     }
 
-    /// Numbers of the points at the surfaces of bodies.
-    pub fn surface(&self) -> &[u32] {
-        &self.surfaces.points
+    /// The law, with as many steps as the body needs that needs most.
+    pub fn elasticity(&self) -> &Elasticity {
+        &self.elasticity
     }
 
-    /// Those of each body, as places in [`Lattice::surface`].
+    /// The parts of surfaces, by bodies.
+    pub fn surface(&self) -> &[SurfacePart] {
+        &self.surfaces.parts
+    }
+
+    /// The parts of each body.
     pub fn surfaces(&self) -> &[Range<u32>] {
         &self.surfaces.bodies
     }
@@ -233,35 +292,51 @@ impl Lattice {
         let Some(cover) = Cover::new(places, spacing, width) else { return };
         let full = cover.width[0] * cover.width[1] / (spacing * spacing);
         let nodes = cover.used_nodes();
-        let (begin, first) = (self.inverse_mass.len() as u32, self.corners.len());
+        let begin = self.inverse_mass.len() as u32;
         let mut mass = vec![0.0; nodes.len()];
-        let number = |node: usize| nodes.binary_search(&node).expect("of an element") as u32;
-        for (&row, &place) in body.iter().zip(places) {
-            let corners = cover.corners(place, cover.element(place)).map(|(node, weight, _)| {
-                mass[number(node) as usize] += weight;
-                Share { index: begin + number(node), weight: weight as f32 }
-            });
-            self.rows.push(row);
-            self.corners.push(corners);
+        let number = |node: usize| nodes.binary_search(&node).expect("of an element");
+        let mut shares = Vec::with_capacity(body.len());
+        for &place in places {
+            shares.push(cover.corners(place, cover.element(place)).map(|(node, weight, _)| {
+                mass[number(node)] += weight;
+                Share { index: begin + number(node) as u32, weight: weight as f32 }
+            }));
         }
         let inverse = |mass: f64| (1.0 / mass.max(LIGHTEST * full)) as f32;
-        self.inverse_mass.extend(mass.into_iter().map(inverse));
-        self.normal_equations.push(Band::new(begin, nodes.len(), &self.corners[first..]));
-        let first_of_surface = self.surfaces.points.len() as u32;
-        for Quarter { middle, particles, is_outer } in cover.quarters(places) {
-            let corners = cover.corners(middle, cover.element(middle));
-            if is_outer {
-                self.surfaces.points.push(self.points.len() as u32);
-            }
-            self.points.push(Point {
-                nodes: corners.map(|corner| begin + number(corner.0)),
+        let inverse_mass: Vec<_> = mass.into_iter().map(inverse).collect();
+        let surface_part = |part: &cover::Part| {
+            let corners = cover.corners_of(part);
+            SurfacePart {
+                nodes: corners.map(|corner| begin + number(corner.0) as u32),
                 weights: corners.map(|corner| corner.1 as f32),
+                particles: part.particles as f32,
+            }
+        };
+        let width = f64::from(PART_WIDTH) * spacing;
+        let surface: Vec<_> = cover.surface(places, width).iter().map(surface_part).collect();
+        let narrowest = cover.width[0].min(cover.width[1]) as f32;
+        let steps = self.elasticity.least_steps(narrowest, begin, &inverse_mass, &surface);
+        if steps > MOST_STEPS as f32 {
+            return;
+        }
+        self.elasticity.steps = self.elasticity.steps.max(steps.ceil() as usize);
+
+        self.normal_equations.push(Band::new(begin, nodes.len(), &shares));
+        self.rows.extend(body);
+        self.corners.extend(shares);
+        self.inverse_mass.extend(inverse_mass);
+        for part in cover.quarters(places) {
+            let corners = cover.corners_of(&part);
+            self.points.push(Point {
+                nodes: corners.map(|corner| begin + number(corner.0) as u32),
                 gradients: corners.map(|corner| corner.2.map(|slope| slope as f32)),
-                particles: particles as f32,
+                particles: part.particles as f32,
                 width: (0.5 * (cover.width[0] + cover.width[1])) as f32,
             });
         }
-        self.surfaces.bodies.push(first_of_surface..self.surfaces.points.len() as u32);
+        let first = self.surfaces.parts.len() as u32;
+        self.surfaces.parts.extend(surface);
+        self.surfaces.bodies.push(first..self.surfaces.parts.len() as u32);
     }
 
     /// The positions and velocities of the nodes, fitted to those of the particles.
@@ -303,22 +378,26 @@ impl Lattice {
     /// (domain lengths, domain lengths per second).
     pub fn impulses<'s>(
         &'s self,
-        elasticity: &Elasticity,
-        walls: &Walls,
+        &Walls { lower, upper }: &Walls,
         motion: (&[[f32; 2]], &[[f32; 2]]),
         scratch: &'s mut Scratch,
     ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
+        let elasticity = &self.elasticity;
+        let walls = Walls {
+            lower: lower.map(|wall| wall + elasticity.wall_distance),
+            upper: upper.map(|wall| wall - elasticity.wall_distance),
+        };
         let Elasticity { steps, dt, gravity, .. } = *elasticity;
         self.fit(motion, scratch);
-        let Scratch { nodes, start, impulses, contact, .. } = scratch;
+        let Scratch { nodes, start, impulses, surface, .. } = scratch;
         start.clone_from(nodes);
         let step = dt / steps as f32;
         let fall = gravity.map(|gravity| gravity * step);
         for _ in 0..steps {
             for point in &self.points {
-                stress::add_forces(elasticity, walls, fall, point, nodes);
+                stress::add_forces(elasticity, point, nodes);
             }
-            self.surfaces.add_forces(elasticity, &self.points, contact, nodes);
+            self.surfaces.add_forces(elasticity, &walls, fall, surface, nodes);
             for (node, inverse_mass) in nodes.iter_mut().zip(&self.inverse_mass) {
                 node.advance(step, *inverse_mass, fall);
             }

@@ -1,26 +1,16 @@
-//! The forces of a quadrature point on the nodes of its element: those of its stress, and those of walls.
+//! The forces of the stress at a quadrature point on the nodes of its element.
 
-use super::{Elasticity, Node, Point, Walls};
+use super::{Elasticity, Node, Point};
 
 /// Stretch from which on a point has no stress: bodies that touched in the first frame, and so share a lattice, come apart.
 const TORN: f32 = 1.6;
-/// Speed away from a wall from which on its push is the share [`Elasticity::rebound`] (domain lengths per second).
-const REBOUNDING: f32 = 0.1;
 
-/// Adds a point's forces, in units of a particle's mass, to its nodes: of its stress, and of the walls. `fall` is what gravity adds to
-/// its velocity in the step.
+/// Adds the forces of a point's stress, in units of a particle's mass, to its nodes.
 #[inline(always)]
-pub(super) fn add_forces(
-    elasticity: &Elasticity,
-    Walls { lower, upper }: &Walls,
-    fall: [f32; 2],
-    point: &Point,
-    nodes: &mut [Node],
-) {
-    let Elasticity { lame: [mu, lambda], viscosity, wall_stiffness, rebound, .. } = *elasticity;
-    let Point { nodes: corners, weights, gradients, particles, width } = point;
+pub(super) fn add_forces(elasticity: &Elasticity, point: &Point, nodes: &mut [Node]) {
+    let Elasticity { lame: [mu, lambda], viscosity, .. } = *elasticity;
+    let Point { nodes: corners, gradients, particles, width } = point;
     let (mut f, mut rate) = ([[0.0f32; 2]; 2], [[0.0f32; 2]; 2]);
-    let (mut place, mut velocity) = ([0.0f32; 2], fall);
     for corner in 0..4 {
         let Node { position: x, velocity: v, .. } = nodes[corners[corner] as usize];
         for row in 0..2 {
@@ -28,8 +18,6 @@ pub(super) fn add_forces(
                 f[row][column] += x[row] * gradients[corner][column];
                 rate[row][column] += v[row] * gradients[corner][column];
             }
-            place[row] += weights[corner] * x[row];
-            velocity[row] += weights[corner] * v[row];
         }
     }
     // The rotation R of the polar decomposition; the sum and the difference of the stretches.
@@ -69,20 +57,12 @@ pub(super) fn add_forces(
             twice * (f[1][1] - cos) + volumetric * f[0][0] + viscous * rate[1][1],
         ],
     ];
-    let spring = wall_stiffness * modulus / (width * width) * particles;
-    let mut push = [0.0; 2];
-    for axis in 0..2 {
-        let depth = (lower[axis] - place[axis]).max(0.0) - (place[axis] - upper[axis]).max(0.0);
-        // Without a jump, which would turn rounding into motion where bodies lie still.
-        let away = (velocity[axis] * depth.signum() / REBOUNDING).clamp(0.0, 1.0);
-        push[axis] = spring * (1.0 - (1.0 - rebound) * away) * depth;
-    }
     for corner in 0..4 {
         let force = &mut nodes[corners[corner] as usize].force;
         for axis in 0..2 {
             let [along_x, along_y] = gradients[corner];
             let elastic = stress[axis][0] * along_x + stress[axis][1] * along_y;
-            force[axis] += weights[corner] * push[axis] - area * elastic;
+            force[axis] -= area * elastic;
         }
     }
 }

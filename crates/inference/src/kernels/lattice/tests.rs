@@ -4,13 +4,20 @@ use super::*;
 
 const SPACING: f32 = 1.0 / 128.0;
 const DT: f32 = 0.016;
+/// 1 / the time that they take to cross 3.5 spacings (1 / s).
+const RATE: f32 = 17.320_508 / (3.5 * SPACING);
 /// Jelly of E = 300 without Poisson's effect, without gravity: pressure waves have a speed of sqrt(300).
 const LAW: Elasticity = Elasticity {
     lame: [150.0, 0.0],
     viscosity: 0.0,
-    wall_stiffness: 1.0,
+    wall_distance: 0.0,
+    wall_stiffness: RATE * RATE,
     rebound: 1.0,
-    contact: Contact { distance: 3.5 * SPACING, stiffness: 0.2, viscosity: 4.0 },
+    contact: Contact {
+        distance: 3.5 * SPACING,
+        stiffness: 0.2 * RATE * RATE,
+        viscosity: 4.0 * RATE,
+    },
     steps: 24,
     dt: DT,
     gravity: [0.0, 0.0],
@@ -26,7 +33,7 @@ fn block(columns: usize, rows: usize) -> Vec<[f32; 2]> {
 fn lattice(rest: &[[f32; 2]]) -> Lattice {
     let material = vec![Material::Jelly; rest.len()];
     let shape = RestShape::new(rest, &material, 1, SPACING);
-    Lattice::new((&shape, 0..rest.len()), rest, &material, SPACING, 3.5)
+    Lattice::new((&shape, 0..rest.len()), rest, &material, SPACING, (3.5, LAW))
 }
 
 /// The impulses of all particles, which belong to one body.
@@ -39,7 +46,8 @@ fn impulses(
 ) -> Vec<Impulse> {
     let mut found = vec![Impulse::default(); position.len()];
     let mut scratch = Scratch::default();
-    for (row, impulse) in lattice.impulses(law, walls, (position, velocity), &mut scratch) {
+    let lattice = Lattice { elasticity: *law, ..lattice.clone() };
+    for (row, impulse) in lattice.impulses(walls, (position, velocity), &mut scratch) {
         found[row] = impulse;
     }
     found
@@ -63,8 +71,9 @@ fn advance(
     }
 }
 
+/// NaN if a value is.
 fn largest(values: impl Iterator<Item = [f32; 2]>) -> f32 {
-    values.flatten().fold(0.0, |most, value| most.max(value.abs()))
+    values.flatten().fold(0.0, |most, value| if value.abs() <= most { most } else { value.abs() })
 }
 
 #[test]
@@ -254,7 +263,7 @@ fn bodies_are_connected_particles_of_jelly_and_have_lattices_of_their_own() {
     let material = [vec![Material::Jelly; 162], vec![Material::Rope; 81], vec![Material::Jelly; 9]];
     let material = material.concat();
     let shape = RestShape::new(&rest, &material, 1, SPACING);
-    let both = Lattice::new((&shape, 0..rest.len()), &rest, &material, SPACING, 4.0);
+    let both = Lattice::new((&shape, 0..rest.len()), &rest, &material, SPACING, (4.0, LAW));
     let rows: Vec<_> = both.rows().iter().map(|&row| row as usize).collect();
     assert_eq!(rows, (0..162).collect::<Vec<_>>(), "neither rope nor the nine particles");
     // A velocity of one body gives the other no impulse.
@@ -327,6 +336,91 @@ fn bodies_that_meet_exchange_momentum_and_do_not_enter_each_other() {
     assert!(largest(found.iter().map(|own| own.velocity_change)) < 1e-3);
 }
 
+/// One element for each body, as wide as it is: steps are as short as the narrower needs them.
+#[test]
+fn narrow_bodies_of_stiff_jelly_have_short_steps_and_meet_each_other_and_a_wall() {
+    let block = |columns: usize, x: f32| {
+        block(columns, 40).into_iter().map(move |place| [place[0] + x, place[1]])
+    };
+    let rest: Vec<_> = block(30, 0.0).chain(block(6, 0.4)).collect();
+    let material = vec![Material::Jelly; rest.len()];
+    let shape = RestShape::new(&rest, &material, 1, SPACING);
+    let lattice = |modulus: f32| {
+        let rate = modulus.sqrt() / (3.5 * SPACING);
+        let contact =
+            Contact { stiffness: 0.2 * rate * rate, viscosity: 4.0 * rate, ..LAW.contact };
+        let wall_stiffness = rate * rate;
+        let law = Elasticity { lame: [0.5 * modulus, 0.0], wall_stiffness, contact, ..LAW };
+        Lattice::new((&shape, 0..rest.len()), &rest, &material, SPACING, (60.0, law))
+    };
+    for modulus in [300.0, 3e4, 1e5] {
+        let lattice = lattice(modulus);
+        assert_eq!(lattice.inverse_mass().len(), 8);
+        let crossings = DT * modulus.sqrt() / (6.0 * SPACING);
+        assert!(lattice.elasticity().steps as f32 >= STEPS_PER_CROSSING * crossings);
+        // The wide body hits the narrow one, which hits a wall.
+        let wall = Walls { upper: [0.8, 9.0], ..FAR };
+        let mut position = rest.clone();
+        let speed = |row| if row < 1200 { [3.0, 0.0] } else { [0.0; 2] };
+        let mut velocity: Vec<_> = (0..rest.len()).map(speed).collect();
+        for frame in 0..25 {
+            advance(&lattice, (&lattice.elasticity, &wall), &mut position, &mut velocity);
+            let speed = largest(velocity.iter().copied());
+            assert!(speed < 12.0, "modulus {modulus}, frame {frame}: {speed}");
+        }
+        let mean = |rows: Range<usize>| {
+            let count = rows.len() as f32;
+            velocity[rows].iter().map(|v| v[0]).sum::<f32>() / count
+        };
+        assert!(mean(0..1200) < 0.0, "modulus {modulus}: turned back at {}", mean(0..1200));
+        let right = largest(position[1200..].iter().map(|place| [place[0], 0.0]));
+        assert!(right < 0.82, "modulus {modulus}: {right}");
+    }
+    // More steps than there may be.
+    assert!(lattice(1e8).is_empty());
+}
+
+#[test]
+fn a_body_that_diverges_leaves_others_alone() {
+    let near: Vec<_> = block(9, 9).into_iter().map(|[x, y]| [x + 11.0 * SPACING, y]).collect();
+    let rest = [block(9, 9), near].concat();
+    let lattice = lattice(&rest);
+    let toward = |row: usize| if row < 81 { [1.0, 0.0] } else { [-1.0, 0.0] };
+    let velocity: Vec<_> = (0..162).map(toward).collect();
+    let squeezed: Vec<_> = rest.iter().map(|[x, y]| [*x, 0.9 * y]).collect();
+    for broken in [40, 81 + 40] {
+        let mut position = squeezed.clone();
+        position[broken] = [f32::NAN; 2];
+        let found = impulses(&lattice, &LAW, &FAR, &position, &velocity);
+        let of = |rows: Range<usize>| largest(found[rows].iter().map(|own| own.velocity_change));
+        let (own, other) = if broken < 81 { (0..81, 81..162) } else { (81..162, 0..81) };
+        assert!(of(own.clone()) == 0.0 && of(other.clone()) > 0.1, "{}, {}", of(own), of(other));
+    }
+}
+
+/// A ring, whose parts and elements are partly empty: every part has nodes.
+#[test]
+fn parts_of_a_ring_have_nodes_at_any_width_of_elements() {
+    let ring = |&[x, y]: &[f32; 2]| {
+        let [dx, dy] = [x, y].map(|x| (x - 0.3) / SPACING - 15.0);
+        (9.3..15.4).contains(&dx.hypot(dy))
+    };
+    let rest: Vec<_> = block(31, 31).into_iter().filter(ring).collect();
+    for width in [3.5, 9.0, 30.0] {
+        let material = vec![Material::Jelly; rest.len()];
+        let shape = RestShape::new(&rest, &material, 1, SPACING);
+        let rows = (&shape, 0..rest.len());
+        let lattice = Lattice::new(rows, &rest, &material, SPACING, (width, LAW));
+        let of_points: f32 = lattice.points().iter().map(|point| point.particles).sum();
+        assert_eq!(of_points, rest.len() as f32);
+        let of_surface: f32 = lattice.surface().iter().map(|part| part.particles).sum();
+        assert!(of_surface > 0.5 * rest.len() as f32, "{of_surface} of a ring 6 spacings wide");
+        for part in lattice.surface() {
+            assert!(part.weights.iter().all(|weight| weight.abs() < 4.0), "{part:?}");
+        }
+    }
+}
+
 #[test]
 fn a_lattice_that_diverges_gives_no_impulse() {
     let rest = block(9, 9);
@@ -368,5 +462,10 @@ fn thin_parts_of_a_body_have_elements_of_their_own() {
 #[test]
 fn a_body_in_a_far_larger_box_has_no_lattice() {
     let rest: Vec<_> = (0..60_000).map(|k| [0.7 * SPACING * k as f32; 2]).collect();
-    assert!(lattice(&rest).is_empty());
+    let material = vec![Material::Jelly; rest.len()];
+    let shape = RestShape::new(&rest, &material, 1, SPACING);
+    for width in [3.5, 30.0] {
+        let rows = (&shape, 0..rest.len());
+        assert!(Lattice::new(rows, &rest, &material, SPACING, (width, LAW)).is_empty());
+    }
 }

@@ -113,8 +113,9 @@ pub(in crate::train) fn particle_store(
         let stiffness = stream.stiffness.map_or(0.0, stiffness_feature);
         store.stream(&numbers(stream), rest.each_ref(), stiffness);
         if description.elastic.is_some() {
+            let stiffness = stream.stiffness.filter(|_| description.stiffness);
             let lattice = |side: usize| {
-                description.lattice((&rest[side], 0..kinds.len()), places[side], kinds)
+                description.lattice((&rest[side], 0..kinds.len()), places[side], kinds, stiffness)
             };
             store.lattices([&lattice(0), &lattice(1)])?;
         }
