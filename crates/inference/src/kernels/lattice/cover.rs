@@ -214,8 +214,8 @@ impl Cover {
             let part = &mut parts[y * count[0] + x];
             let part = part.get_or_insert_with(|| Part { first: *place, ..Part::default() });
             part.particles += 1.0;
-            for axis in 0..2 {
-                part.middle[axis] += (place[axis] - part.middle[axis]) / part.particles;
+            for (middle, place) in part.middle.iter_mut().zip(place) {
+                *middle += (place - *middle) / part.particles;
             }
         }
         parts

@@ -41,7 +41,7 @@ const MIN_PARTICLES: usize = 16;
 pub const PART_WIDTH: f32 = 1.75;
 /// Steps at least in the time that a pressure wave takes to cross the narrowest element. Fewer are unstable; more are accurate.
 const STEPS_PER_CROSSING: f32 = 1.5;
-/// Largest change of a velocity by its own by walls and contact in a step: 2 and more are unstable, and elasticity adds to it.
+/// Share of a velocity that walls and contact take away in a step, at most: 2 is unstable, and elasticity adds to it.
 const STABLE: f32 = 1.5;
 /// Share of the contact distance by which bodies that push each other mostly overlap.
 const OVERLAP: f32 = 0.35;

@@ -116,8 +116,9 @@ fn contact_force(
 ) -> Option<[f32; 2]> {
     let apart = [0, 1].map(|axis| from.position[axis] - to.position[axis]);
     let squared = apart[0] * apart[0] + apart[1] * apart[1];
-    // Written so that NaN is none: a body that has diverged leaves others alone.
-    if !(squared < distance * distance) {
+    // Not if it is NaN: a body that has diverged leaves others alone.
+    let is_near = squared < distance * distance;
+    if !is_near {
         return None;
     }
     let gap = squared.sqrt().max(1e-9);
