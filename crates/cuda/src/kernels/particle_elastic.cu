@@ -35,8 +35,8 @@ struct Lattice {
   int steps;
 };
 #define ELASTIC_THREADS 512
-// Largest change of a node's velocity, stretch from which on a point has no stress, speed from which on it rebounds: `FASTEST`, `TORN`
-// and `REBOUNDING` of eddy-inference.
+// Largest change of a node's velocity, stretch from which on a point has no stress, speed away from a wall from which on it pushes least:
+// `FASTEST`, `TORN` and `REBOUNDING` of eddy-inference.
 #define FASTEST 64.0f
 #define TORN 1.6f
 #define REBOUNDING 0.1f

@@ -98,7 +98,7 @@ impl Cover {
         let is_filled = |element: [usize; 2]| f64::from(counts[cover.index(element)]) >= least;
         // Not further away than a neighbour: shape functions grow with the distance.
         let nearest_filled = |own: [usize; 2]| {
-            let near = |axis: usize| own[axis].saturating_sub(1)..(own[axis] + 2).min(cells[axis]);
+            let near = |axis: usize| near(own[axis], cells[axis]);
             let squared_distance = |other: &[usize; 2]| -> f64 {
                 let along = |axis: usize| (own[axis].abs_diff(other[axis]) as f64) * widths[axis];
                 along(0) * along(0) + along(1) * along(1)
@@ -125,11 +125,15 @@ impl Cover {
         y * self.cells[0] + x
     }
 
+    /// Of the body's box along an axis (domain lengths).
+    fn extent(&self, axis: usize) -> f64 {
+        self.width[axis] * self.cells[axis] as f64
+    }
+
     /// The part that a place is in, of so many along each axis.
     fn part(&self, place: [f64; 2], count: [usize; 2]) -> [usize; 2] {
         [0, 1].map(|axis| {
-            let extent = self.width[axis] * self.cells[axis] as f64;
-            let at = (place[axis] - self.origin[axis]) / extent * count[axis] as f64;
+            let at = (place[axis] - self.origin[axis]) / self.extent(axis) * count[axis] as f64;
             (at.max(0.0) as usize).min(count[axis] - 1)
         })
     }
@@ -191,10 +195,8 @@ impl Cover {
 
     /// The parts of about this width at the surface: there are no particles in a part beside them.
     pub(super) fn surface(&self, places: &[[f64; 2]], width: f64) -> Vec<Part> {
-        let extents = [0, 1].map(|axis| self.width[axis] * self.cells[axis] as f64);
-        let [across, up] = extents.map(|extent| ((extent / width).round() as usize).max(1));
+        let [across, up] = [0, 1].map(|axis| ((self.extent(axis) / width).round() as usize).max(1));
         let parts = self.parts(places, [across, up]);
-        let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
         let is_inner = |index: usize| {
             let [x, y] = [index % across, index / across];
             let around = near(y, up).flat_map(|y| near(x, across).map(move |x| y * across + x));
@@ -220,6 +222,11 @@ impl Cover {
         }
         parts
     }
+}
+
+/// A place among so many along an axis, with those beside it.
+fn near(at: usize, count: usize) -> Range<usize> {
+    at.saturating_sub(1)..(at + 2).min(count)
 }
 
 /// A part of a body.

@@ -191,7 +191,8 @@ pub struct Scratch {
     start: Vec<Node>,
     residuals: Vec<Node>,
     impulses: Vec<Impulse>,
-    surface: surface::Scratch,
+    /// Of each part of a surface.
+    parts: Vec<Node>,
 }
 
 /// A node within a frame.
@@ -389,7 +390,7 @@ impl Lattice {
         };
         let Elasticity { steps, dt, gravity, .. } = *elasticity;
         self.fit(motion, scratch);
-        let Scratch { nodes, start, impulses, surface, .. } = scratch;
+        let Scratch { nodes, start, impulses, parts, .. } = scratch;
         start.clone_from(nodes);
         let step = dt / steps as f32;
         let fall = gravity.map(|gravity| gravity * step);
@@ -397,7 +398,7 @@ impl Lattice {
             for point in &self.points {
                 stress::add_forces(elasticity, point, nodes);
             }
-            self.surfaces.add_forces(elasticity, &walls, fall, surface, nodes);
+            self.surfaces.add_forces(elasticity, &walls, fall, parts, nodes);
             for (node, inverse_mass) in nodes.iter_mut().zip(&self.inverse_mass) {
                 node.advance(step, *inverse_mass, fall);
             }

@@ -16,23 +16,15 @@ pub(super) struct Surfaces {
     pub(super) bodies: Vec<Range<u32>>,
 }
 
-/// Scratch buffers of a step.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Scratch {
-    /// Position, velocity and force of each part.
-    parts: Vec<Node>,
-    /// Lower and upper corner of each body (domain lengths).
-    boxes: Vec<[[f32; 2]; 2]>,
-}
-
 impl Surfaces {
-    /// Adds the forces of walls and between bodies to the nodes. `fall` is what gravity adds to velocities in the step.
+    /// Adds the forces of walls and between bodies to the nodes. `fall` is what gravity adds to velocities in the step, `parts` a scratch
+    /// buffer: position, velocity and force of each part.
     pub(super) fn add_forces(
         &self,
         elasticity: &Elasticity,
         walls: &Walls,
         fall: [f32; 2],
-        Scratch { parts, boxes }: &mut Scratch,
+        parts: &mut Vec<Node>,
         nodes: &mut [Node],
     ) {
         parts.clear();
@@ -44,15 +36,11 @@ impl Surfaces {
             own.force = push(elasticity, walls, fall, part, &own);
             own
         }));
-        let body = |number: usize| {
-            let Range { start, end } = self.bodies[number];
-            start as usize..end as usize
-        };
-        boxes.clear();
-        boxes.extend((0..self.bodies.len()).map(|number| bounds(&parts[body(number)])));
         let reach = elasticity.contact.distance;
-        for (number, [lower, upper]) in boxes.iter().enumerate() {
-            let Range { start, end } = body(number);
+        // Each body with those before it.
+        for body in self.bodies.iter().skip(1) {
+            let [start, end] = [body.start, body.end].map(|part| part as usize);
+            let [lower, upper] = bounds(&parts[start..end]);
             let (before, later) = parts.split_at_mut(start);
             for (one, from) in before.iter_mut().enumerate() {
                 let near = |axis: usize| lower[axis] - reach..upper[axis] + reach;
