@@ -21,9 +21,6 @@ REBOUNDING = 0.1
 # Distance of connected particles (spacings); stretch from which on a point has no stress; largest change of a node's velocity, with a
 # larger one there is none.
 CONNECTED, TORN, FASTEST = 1.5, 1.6, 64.0
-# Of particles of other matter: inertia (masses of a particle), rate at which they exchange momentum relative to that of bodies, distance
-# within which they are found at the beginning of a frame (contact distances).
-INERTIA, EXCHANGE, FOUND = 4.0, 0.4, 2.0
 CORNERS = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -134,69 +131,30 @@ def contact(one: Lattice, other: Lattice, nodes: list[tuple[Tensor, Tensor]], la
     return one.weights.T @ force.sum(1), -other.weights.T @ force.sum(0)
 
 
-class Loose:
-    """Particles of other matter that are close to surfaces: L of them."""
-
-    def __init__(self, lattices: list[Lattice], nodes: list[tuple[Tensor, Tensor]], others: tuple[Tensor, Tensor], law: "Elastic") -> None:
-        self.distance = law.contact_distance
-        self.rate = min(EXCHANGE * law.contact_viscosity * law.rate, law.steps / law.dt)
-        position, _ = others
-        # [others, S] for each body.
-        close = [torch.cdist(position, own.weights @ x) < FOUND * self.distance for own, (x, _) in zip(lattices, nodes, strict=True)]
-        self.rows = torch.cat(close, 1).any(1).nonzero().squeeze(1)
-        self.pairs = [own[self.rows] for own in close]  # [L, S]
-        self.start = self.x, self.v = tuple(track[self.rows] for track in others)
-
-    def forces(self, lattices: list[Lattice], nodes: list[tuple[Tensor, Tensor]]) -> tuple[list[Tensor], Tensor]:
-        """The forces of the exchange of momentum on the nodes of each body, [M, 2], and on the particles, [L, 2]."""
-        on_nodes, on_loose = [], torch.zeros_like(self.v)
-        for own, pairs, (x, v) in zip(lattices, self.pairs, nodes, strict=True):
-            share = self.rate * pairs * (1 - torch.cdist(self.x, own.weights @ x) / self.distance).clamp(min=0)
-            force = share.unsqueeze(-1) * (own.weights @ v - self.v.unsqueeze(1))  # [L, S, 2]
-            on_nodes.append(-own.weights.T @ force.sum(0))
-            on_loose = on_loose + force.sum(1)
-        return on_nodes, on_loose
-
-    def advance(self, force: Tensor, step: float, gravity: Tensor) -> None:
-        self.v = self.v + step * (force / INERTIA + gravity)
-        self.x = self.x + step * self.v
-
-
-def impulse(start: tuple[Tensor, Tensor], end: tuple[Tensor, Tensor], law: "Elastic") -> tuple[Tensor, Tensor]:
-    """What to add to velocities before a frame and to positions after it."""
-    (x0, v0), (x, v), fallen = start, end, law.gravity * law.dt
-    faster = v - v0 - fallen
-    return faster, x - x0 - (v0 + faster + fallen / 2) * law.dt
-
-
-def impulses(
-    lattices: list[Lattice], bodies: list[tuple[Tensor, Tensor]], others: tuple[Tensor, Tensor], law: "Elastic"
-) -> tuple[list[tuple[Tensor, Tensor]], Tensor, tuple[Tensor, Tensor]]:
-    """What to add to the velocities of each body before a frame and to the positions after it, [P, 2] each; and, of particles in no body,
-    which have an impulse, and theirs."""
+def impulses(lattices: list[Lattice], bodies: list[tuple[Tensor, Tensor]], law: "Elastic") -> list[tuple[Tensor, Tensor]]:
+    """What to add to the velocities of each body before a frame and to the positions after it, [P, 2] each."""
     start = [lattice.fit(*body) for lattice, body in zip(lattices, bodies, strict=True)]
     nodes, step = start, law.dt / law.steps
-    loose = Loose(lattices, start, others, law)
     for _ in range(law.steps):
         forces = [lattice.forces(x, v, law, step) for lattice, (x, v) in zip(lattices, nodes, strict=True)]
         for other in range(len(lattices)):
             for one in range(other):
                 pair = contact(lattices[one], lattices[other], [nodes[one], nodes[other]], law)
                 forces[one], forces[other] = forces[one] + pair[0], forces[other] + pair[1]
-        exchanged, on_loose = loose.forces(lattices, nodes)
-        loose.advance(on_loose, step, law.gravity)
         speeds = [
-            v + step * ((force + more) / lattice.mass.unsqueeze(1) + law.gravity)
-            for lattice, (_, v), force, more in zip(lattices, nodes, forces, exchanged, strict=True)
+            v + step * (force / lattice.mass.unsqueeze(1) + law.gravity)
+            for lattice, (_, v), force in zip(lattices, nodes, forces, strict=True)
         ]
         nodes = [(x + step * v, v) for (x, _), v in zip(nodes, speeds, strict=True)]
+    fallen = law.gravity * law.dt
     found = []
-    for lattice, before, after in zip(lattices, start, nodes, strict=True):
-        faster, farther = impulse(before, after, law)
+    for lattice, (x0, v0), (x, v) in zip(lattices, start, nodes, strict=True):
+        faster = v - v0 - fallen
+        farther = x - x0 - (v0 + faster + fallen / 2) * law.dt
         if not bool((faster.abs() <= FASTEST).all()):
             faster, farther = torch.zeros_like(faster), torch.zeros_like(farther)
         found.append((lattice.values @ faster, lattice.values @ farther))
-    return found, loose.rows, impulse(loose.start, (loose.x, loose.v), law)
+    return found
 
 
 class Elastic:
@@ -237,16 +195,10 @@ class Elastic:
         """Those of T frames of B windows, [T, B, N, 2]: velocities before a frame, positions after it."""
         faster, farther = (torch.zeros_like(track) for track in bodies)
         for window, own in enumerate(lattices):
-            if not own:
-                continue
             rows, shapes = [rows for rows, _ in own], [lattice for _, lattice in own]
-            is_other = torch.ones(faster.shape[2], dtype=torch.bool)
-            is_other[torch.cat(rows)] = False
-            others = is_other.nonzero().squeeze(1)
             for frame in range(len(faster)):
                 position, velocity = (track[frame, window].double() for track in bodies)
-                *moving, beside = [(position[row], velocity[row]) for row in [*rows, others]]
-                found, loose, of_loose = impulses(shapes, moving, beside, self)
-                for row, (change, way) in zip([*rows, others[loose]], [*found, of_loose], strict=True):
+                found = impulses(shapes, [(position[row], velocity[row]) for row in rows], self)
+                for row, (change, way) in zip(rows, found, strict=True):
                     faster[frame, window, row], farther[frame, window, row] = change.to(faster), way.to(faster)
         return farther, faster

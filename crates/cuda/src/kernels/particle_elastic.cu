@@ -30,8 +30,7 @@ struct Lattice {
   const u32* incident;         // [(points + parts) 4] the forces, those of points first
   const LatticePoint* points;
   const LatticePart* parts;
-  const u32* others;           // particles in no body
-  u32 particle_count, node_count, point_count, part_count, other_count;
+  u32 particle_count, node_count, point_count, part_count;
   float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, contact_distance, contact_stiffness, contact_viscosity;
   int steps;
 };
@@ -41,10 +40,6 @@ struct Lattice {
 #define FASTEST 64.0f
 #define TORN 1.6f
 #define REBOUNDING 0.1f
-// Of particles of other matter: `INERTIA`, `EXCHANGE` and `FOUND`.
-#define LOOSE_INERTIA 4.0f
-#define LOOSE_EXCHANGE 0.4f
-#define LOOSE_FOUND 2.0f
 
 // What the network sees of a particle, and what the impulse adds to its position after the ballistic step. There are no impulses
 // where the network sees matter as it is.
@@ -132,70 +127,27 @@ __device__ __forceinline__ void push(const Lattice& law, const float* lower, con
     force[a] += law.wall_stiffness * part.particles * (1.0f - (1.0f - law.rebound) * away) * depth;
   }
 }
-// A part of a surface or a particle of other matter that all threads of a block look at, and where it was at the beginning of the frame.
-struct Near { Body body; float start[2], particles; };
-// Calls use(first, count) for so many of all of `total` at a time, which load(index) has put to `near`.
-template <class Load, class Use> __device__ __forceinline__ void over_tiles(Near* near, u32 total, Load load, Use use) {
-  for (u32 first = 0; first < total; first += ELASTIC_THREADS) {
-    const u32 count = min(total - first, (u32)ELASTIC_THREADS);
-    if (threadIdx.x < count) near[threadIdx.x] = load(first + threadIdx.x);
-    __syncthreads();
-    use(first, count);
-    __syncthreads();
-  }
-}
-__device__ __forceinline__ float squared_distance(const float* one, const float* other) {
-  const float x = one[0] - other[0], y = one[1] - other[1];
-  return x * x + y * y;
-}
-// Adds the forces of the parts of other bodies among `count`, the first of which is number `first`, on a part.
-__device__ __forceinline__ void add_contact(const Lattice& law, const LatticePart& part, const Body& own, const Near* near, u32 first, u32 count, float* force) {
-  const u32 own_parts = part.end - part.first;
+// Adds the forces of the parts from `first` to `end`, of other bodies, on a part.
+__device__ __forceinline__ void add_contact(const Lattice& law, const LatticePart& part, const Body& own, const Body* states, u32 first, u32 end, float* force) {
 #pragma unroll 4
-  for (u32 k = 0; k < count; k++) {
-    const Body to = near[k].body;
-    const float squared = squared_distance(own.x, to.x);
-    if (!(squared < law.contact_distance * law.contact_distance) || first + k - part.first < own_parts) continue;
-    const float particles = near[k].particles, gap = fmaxf(sqrtf(squared), 1e-9f);
+  for (u32 other = first; other < end; other++) {
+    const Body to = states[other];
+    const float apart[2] = {own.x[0] - to.x[0], own.x[1] - to.x[1]}, squared = apart[0] * apart[0] + apart[1] * apart[1];
+    if (!(squared < law.contact_distance * law.contact_distance)) continue;
+    const float particles = law.parts[other].particles, gap = fmaxf(sqrtf(squared), 1e-9f);
     const float depth = 2.0f * part.particles * particles / (part.particles + particles) * (law.contact_distance - gap);
     const float spring = law.contact_stiffness * depth / gap, exchange = law.contact_viscosity * depth / law.contact_distance;
 #pragma unroll
-    for (int a = 0; a < 2; a++) force[a] += spring * (own.x[a] - to.x[a]) - exchange * (own.v[a] - to.v[a]);
+    for (int a = 0; a < 2; a++) force[a] += spring * apart[a] - exchange * (own.v[a] - to.v[a]);
   }
-}
-// Adds the forces between a part and particles of other matter, or between one of these and parts, that were close at the beginning.
-__device__ __forceinline__ void add_exchange(const Lattice& law, float rate, const Near& own, const Near* near, u32 count, float* force) {
-  const float distance = law.contact_distance, found = LOOSE_FOUND * distance;
-#pragma unroll 4
-  for (u32 k = 0; k < count; k++) {
-    const Body to = near[k].body;
-    const float squared = squared_distance(own.body.x, to.x);
-    if (!(squared < distance * distance) || !(squared_distance(own.start, near[k].start) < found * found)) continue;
-    const float share = rate * (1.0f - sqrtf(squared) / distance);
-#pragma unroll
-    for (int a = 0; a < 2; a++) force[a] += share * (to.v[a] - own.body.v[a]);
-  }
-}
-// The sum of the numbers of the threads up to this one; `sums` has room for all.
-__device__ __forceinline__ u32 running_sum(u32 own, u32* sums) {
-  sums[threadIdx.x] = own;
-  __syncthreads();
-  for (u32 apart = 1; apart < ELASTIC_THREADS; apart *= 2) {
-    const u32 before = threadIdx.x >= apart ? sums[threadIdx.x - apart] : 0;
-    __syncthreads();
-    sums[threadIdx.x] += before;
-    __syncthreads();
-  }
-  return sums[threadIdx.x];
 }
 
 // The impulses of n particles by a block of ELASTIC_THREADS: x is added to the position after the ballistic step, v to the velocity
 // before. `s` has walls (domain lengths), fall (domain lengths per second) and dt (s); `now` and `start` have room for the nodes, `forces` for
-// 8 numbers a point, 14 a part and 5 a particle in no body: forces on four nodes; position and velocity of a part, and its first position; position,
-// velocity and number of a particle.
+// 8 numbers a point and 12 a part: forces on four nodes, and the position and velocity of a part.
 template <class S> __device__ __forceinline__ void elastic_impulses(const Lattice& l, const S& s, u32 n, const Body* bodies, Body* impulses, Body* now,
     Body* start, float* forces) {
-  const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count, parts = l.part_count, others = l.other_count;
+  const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count, parts = l.part_count;
   for (u32 p = threadIdx.x; p < n; p += ELASTIC_THREADS) impulses[p] = zero_body();
   // The least-squares fit to the particles: means first, and then what the particles differ by.
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
@@ -227,81 +179,27 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
   const float step = s.dt / (float)l.steps, fall[2] = {s.fall[0] / (float)l.steps, s.fall[1] / (float)l.steps};
   const float lower[2] = {s.wall_lower[0] + l.wall_distance, s.wall_lower[1] + l.wall_distance};
   const float upper[2] = {s.wall_upper[0] - l.wall_distance, s.wall_upper[1] - l.wall_distance};
-  Body *states = (Body*)(forces + 8 * (points + parts)), *loose = states + parts;
-  float* starts = (float*)(loose + others);
-  u32* loose_rows = (u32*)(starts + 2 * parts);
-  __shared__ Near near[ELASTIC_THREADS];
-  __shared__ u32 sums[ELASTIC_THREADS];
-  const auto locate = [&] {
+  Body* states = (Body*)(forces + 8 * (points + parts));
+  for (int k = 0; k < l.steps; k++) {
+    for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS) point_forces(l, l.points[point], now, forces + 8 * point);
     for (u32 i = threadIdx.x; i < parts; i += ELASTIC_THREADS) {
       Body own = zero_body();
 #pragma unroll
       for (int corner = 0; corner < 4; corner++) add_scaled(own, l.parts[i].weights[corner], now[l.parts[i].nodes[corner]]);
       states[i] = own;
     }
-  };
-  const auto part_near = [&](u32 i) { return Near{states[i], {starts[2 * i], starts[2 * i + 1]}, l.parts[i].particles}; };
-  const auto loose_near = [&](u32 i) { const float* start = bodies[loose_rows[i]].x; return Near{loose[i], {start[0], start[1]}, 1.0f}; };
-  // The particles of other matter that are close to surfaces, in the order of the list.
-  locate();
-  for (u32 i = threadIdx.x; i < parts; i += ELASTIC_THREADS)
-#pragma unroll
-    for (int a = 0; a < 2; a++) starts[2 * i + a] = states[i].x[a];
-  __syncthreads();
-  u32 loose_count = 0;
-  for (u32 begin = 0; begin < others; begin += ELASTIC_THREADS) {
-    const u32 k = begin + threadIdx.x, row = l.others[k < others ? k : 0];
-    const Body own = bodies[row];
-    const float found = LOOSE_FOUND * l.contact_distance;
-    u32 close = 0;
-    over_tiles(near, parts, part_near, [&](u32, u32 count) {
-#pragma unroll 4
-      for (u32 i = 0; i < count; i++) close |= squared_distance(own.x, near[i].start) < found * found;
-    });
-    if (k >= others) close = 0;
-    const u32 place = loose_count + running_sum(close, sums) - close;
-    if (close) {
-      loose_rows[place] = row;
-      loose[place] = own;
-    }
-    loose_count += sums[ELASTIC_THREADS - 1];
     __syncthreads();
-  }
-  // A faster exchange would be unstable.
-  const float rate = fminf(LOOSE_EXCHANGE * l.contact_viscosity, 1.0f / step);
-  for (int k = 0; k < l.steps; k++) {
-    for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS) point_forces(l, l.points[point], now, forces + 8 * point);
-    locate();
-    __syncthreads();
-    for (u32 begin = 0; begin < parts; begin += ELASTIC_THREADS) {
-      const u32 i = min(begin + threadIdx.x, parts - 1);
+    for (u32 i = threadIdx.x; i < parts; i += ELASTIC_THREADS) {
       const LatticePart& part = l.parts[i];
-      const Near own = part_near(i);
+      const Body own = states[i];
       float force[2] = {0.0f, 0.0f};
-      push(l, lower, upper, fall, part, own.body, force);
-      // One body has no other to touch.
-      if (l.parts[0].end < parts)
-        over_tiles(near, parts, part_near, [&](u32 first, u32 count) { add_contact(l, part, own.body, near, first, count, force); });
-      over_tiles(near, loose_count, loose_near, [&](u32, u32 count) { add_exchange(l, rate, own, near, count, force); });
-      if (begin + threadIdx.x >= parts) continue;
+      push(l, lower, upper, fall, part, own, force);
+      add_contact(l, part, own, states, 0, part.first, force);
+      add_contact(l, part, own, states, part.end, parts, force);
 #pragma unroll
       for (int corner = 0; corner < 4; corner++)
 #pragma unroll
         for (int a = 0; a < 2; a++) forces[8 * (points + i) + 2 * corner + a] = part.weights[corner] * force[a];
-    }
-    for (u32 begin = 0; begin < loose_count; begin += ELASTIC_THREADS) {
-      const u32 i = min(begin + threadIdx.x, loose_count - 1);
-      const Near own = loose_near(i);
-      Body moved = own.body;
-      float force[2] = {0.0f, 0.0f};
-      over_tiles(near, parts, part_near, [&](u32, u32 count) { add_exchange(l, rate, own, near, count, force); });
-      if (begin + threadIdx.x >= loose_count) continue;
-#pragma unroll
-      for (int a = 0; a < 2; a++) {
-        moved.v[a] += step * force[a] * (1.0f / LOOSE_INERTIA) + fall[a];
-        moved.x[a] += step * moved.v[a];
-      }
-      loose[i] = moved;
     }
     __syncthreads();
     for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
@@ -322,7 +220,8 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
     }
     __syncthreads();
   }
-  const auto between = [&](const Body& from, const Body& to) {
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    const Body from = start[node], to = now[node];
     Body impulse;
 #pragma unroll
     for (int a = 0; a < 2; a++) {
@@ -330,12 +229,7 @@ template <class S> __device__ __forceinline__ void elastic_impulses(const Lattic
       impulse.v[a] = change;
       impulse.x[a] = to.x[a] - from.x[a] - (from.v[a] + change + 0.5f * s.fall[a]) * s.dt;
     }
-    return impulse;
-  };
-  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) start[node] = between(start[node], now[node]);
-  for (u32 i = threadIdx.x; i < loose_count; i += ELASTIC_THREADS) {
-    const Body impulse = between(bodies[loose_rows[i]], loose[i]);
-    if (fabsf(impulse.v[0]) <= FASTEST && fabsf(impulse.v[1]) <= FASTEST) impulses[loose_rows[i]] = impulse;
+    start[node] = impulse;
   }
   __syncthreads();
   // A body whose lattice has diverged gets none.

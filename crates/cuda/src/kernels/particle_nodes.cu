@@ -76,7 +76,7 @@ struct Stream {
   const Lattice* lattice;
   Body* impulses;                // [n] displacements and changes of velocities
   Body* lattice_nodes;           // [2, its nodes]
-  float* lattice_forces;         // [8 its points + 14 its parts + 5 particles in no body]
+  float* lattice_forces;         // [8 its points + 12 its parts]
   // The frame.
   u32 particles;
   u32 begun;

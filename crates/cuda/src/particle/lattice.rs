@@ -21,12 +21,11 @@ pub(super) const MOST_NODES: usize = 2048;
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct DeviceLattice {
-    lists: [u64; 12],
+    lists: [u64; 11],
     particles: u32,
     nodes: u32,
     points: u32,
     parts: u32,
-    others: u32,
     lame: [f32; 2],
     viscosity: f32,
     wall_distance: f32,
@@ -36,9 +35,8 @@ pub(super) struct DeviceLattice {
     contact_stiffness: f32,
     contact_viscosity: f32,
     steps: u32,
-    _unused: u32,
 }
-const _: () = assert!(size_of::<DeviceLattice>() == 8 * 12 + 4 * 16);
+const _: () = assert!(size_of::<DeviceLattice>() == 8 * 11 + 4 * 14);
 // SAFETY: numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for DeviceLattice {}
 // SAFETY: as above.
@@ -47,13 +45,12 @@ unsafe impl bytemuck::Pod for DeviceLattice {}
 /// A lattice, and where its lists are among others, in numbers of 4 bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Placed {
-    lists: [usize; 12],
+    lists: [usize; 11],
     elasticity: Elasticity,
     particles: usize,
     pub(super) nodes: usize,
     points: usize,
     parts: usize,
-    others: usize,
 }
 
 impl Placed {
@@ -109,17 +106,15 @@ impl Placed {
             list(&mut incident.iter().flatten().copied()),
             list(&mut lattice.points().iter().flat_map(numbers_of_point)),
             list(&mut parts.flat_map(numbers_of_part)),
-            list(&mut lattice.others().iter().copied()),
         ];
         let (elasticity, particles) = (*lattice.elasticity(), lattice.rows().len());
-        let (parts, others) = (lattice.surface().len(), lattice.others().len());
-        Ok(Self { lists, elasticity, particles, nodes, points, parts, others })
+        Ok(Self { lists, elasticity, particles, nodes, points, parts: lattice.surface().len() })
     }
 
-    /// Numbers of 4 bytes that the kernels need beside the nodes: forces of points and parts on four nodes each, positions, velocities and
-    /// first positions of parts, and positions, velocities and numbers of particles in no body; whole positions with velocities, which are aligned.
+    /// Numbers of 4 bytes that the kernels need beside the nodes: forces of points and parts on four nodes each, positions and velocities of
+    /// parts.
     pub(super) fn forces(&self) -> usize {
-        (8 * self.points + 14 * self.parts + 5 * self.others).next_multiple_of(4)
+        8 * self.points + 12 * self.parts
     }
 
     /// As the kernels have it, where the lists begin at `words`.
@@ -133,7 +128,6 @@ impl Placed {
             nodes: self.nodes as u32,
             points: self.points as u32,
             parts: self.parts as u32,
-            others: self.others as u32,
             lame,
             viscosity,
             wall_distance,
@@ -143,7 +137,6 @@ impl Placed {
             contact_stiffness: contact.stiffness,
             contact_viscosity: contact.viscosity,
             steps: steps as u32,
-            _unused: 0,
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::{
     kernels::lattice::{self, Contact, Elasticity},
 };
 
-/// Constants of the impulse that its own stress, walls and other matter give jelly within a frame, after which the network sees it.
+/// Constants of the impulse that its own stress, walls and other bodies of jelly give jelly within a frame, after which the network sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ElasticOptions {
@@ -30,7 +30,7 @@ pub struct ElasticOptions {
     pub wall_stiffness: f32,
     /// Share of the push while jelly moves away from the wall, 0 to 1.
     pub rebound: f32,
-    /// Distance below which parts of the surfaces of two bodies, or one and other matter, are in contact (spacings at rest), 0 to 16.
+    /// Distance below which parts of the surfaces of two bodies are in contact (spacings at rest), 0 to 16.
     pub contact_distance: f32,
     /// Stiffness of a spring that keeps them apart, relative to the modulus of pressure waves over the square of 3.5 spacings, 0 to 1.
     pub contact_stiffness: f32,

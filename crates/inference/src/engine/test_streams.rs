@@ -78,7 +78,7 @@ pub(super) fn elastic(description: &Description) -> Description {
 }
 
 /// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that touches it, turns, and is stretched more and more, and
-/// liquid that lies on the second one.
+/// liquid.
 pub(super) fn jelly(count: u32) -> Vec<Frame> {
     const SPACING: f32 = 0.02;
     let block = |corner: [f32; 2]| {
@@ -88,7 +88,7 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
         })
     };
     let rest: Vec<_> =
-        [[0.06, 0.1], [0.36, 0.12], [0.45, 0.32]].into_iter().flat_map(block).collect();
+        [[0.06, 0.1], [0.36, 0.12], [0.6, 0.6]].into_iter().flat_map(block).collect();
     let kinds = [Material::Jelly, Material::Jelly, Material::Liquid];
     let frame = |time: u32| {
         let (sin, cos) = (0.2 * time as f32).sin_cos();

@@ -547,7 +547,7 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
 }
 
 #[test]
-fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_come_from_jelly_only() {
+fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_move_jelly_only() {
     let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
     let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);
     let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };

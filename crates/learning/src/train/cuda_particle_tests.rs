@@ -49,18 +49,13 @@ pub(super) fn streams() -> Vec<Trajectory> {
 
 /// As [`streams`], with so many particles along the sides of each stream's blocks.
 fn streams_of(sizes: [[usize; 2]; 2]) -> Vec<Trajectory> {
-    streams_apart(sizes, 0.5)
-}
-
-/// The same, with this distance between the left edges of the two blocks of a stream (domain lengths).
-fn streams_apart(sizes: [[usize; 2]; 2], apart: f32) -> Vec<Trajectory> {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let kinds = [[Material::Jelly, Material::Liquid], [Material::Snow, Material::Rope]];
     let stream = |id: usize| {
         let mut places = Vec::new();
         let mut material = Vec::new();
         for block in 0..2 {
-            let corner = [0.1 + apart * block as f32, 0.06 + 0.3 * id as f32];
+            let corner = [0.1 + 0.5 * block as f32, 0.06 + 0.3 * id as f32];
             let side = sizes[id][block];
             for number in 0..side * side {
                 let along = [number % side, number / side].map(|step| step as f32 * SPACING);
@@ -296,13 +291,13 @@ fn a_network_conditioned_on_the_stiffness_of_each_stream_takes_the_steps_of_the_
     compare(&config, &streams());
 }
 
-/// Jelly that the floor and liquid push.
+/// Jelly that the floor pushes.
 #[test]
 fn a_network_that_sees_jelly_after_its_elastic_impulse_takes_the_steps_of_the_cpu() {
     let mut config = config(Core::MinGru);
     config.network.elastic_modulus = 300.0;
     config.loss.error_floor = 0.03;
-    let streams = streams_apart([[9, 3], [3, 4]], 0.25);
+    let streams = streams_of([[9, 3], [3, 4]]);
     let Trajectory { ref rest, ref material, .. } = streams[0];
     let description = description(&config);
     let shape = RestShape::new(rest, material, 1, SPACING);
@@ -311,10 +306,6 @@ fn a_network_that_sees_jelly_after_its_elastic_impulse_takes_the_steps_of_the_cp
     let lowest = rest.iter().fold(f32::MAX, |low, [_, y]| low.min(*y));
     let wall = Ballistic::new(&description).lower[1];
     assert!(lowest < wall + lattice.elasticity().wall_distance);
-    let [jelly, liquid] = [&rest[..81], &rest[81..]];
-    let rightmost = jelly.iter().fold(f32::MIN, |right, [x, _]| right.max(*x));
-    assert!(liquid.iter().any(|[x, _]| *x < rightmost + lattice.elasticity().contact.distance));
-    assert_eq!(lattice.others().len(), liquid.len());
     compare(&config, &streams);
 
     // Of the jelly's stream, 1e3: wider elements and more steps.

@@ -1,5 +1,5 @@
-//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress, walls, other bodies and other
-//! matter give it within a frame.
+//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress, walls, and other bodies give it
+//! within a frame.
 //!
 //! A frame is as long as a pressure wave needs to cross a body of jelly, so that from one frame to the next only the phase of a
 //! body's vibration tells how it goes on. A network does not learn it to the accuracy that a rebound needs, but it can be
@@ -19,12 +19,10 @@
 //!    with a wall, a part is pushed back by a spring, less while it moves away, without friction. In the ground truth, bodies that are closer
 //!    than the splines of the grid are wide move with common velocities: here, a viscosity between the parts of different bodies exchanges
 //!    momentum, and a weak spring keeps them apart.
-//! 5. Particles of other matter (`loose`) that are close to a surface exchange momentum with it, by a viscosity alone, and get an impulse, too.
-//! 6. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
+//! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
 
 mod cover;
 mod fit;
-mod loose;
 mod stress;
 mod surface;
 
@@ -35,7 +33,6 @@ use eddy_frames::Material;
 use super::rest_shape::RestShape;
 use cover::Cover;
 pub use fit::Band;
-use loose::Loose;
 use surface::Surfaces;
 
 /// Particles of a body at least: smaller ones have no lattice.
@@ -79,11 +76,6 @@ pub struct Elasticity {
 }
 
 impl Elasticity {
-    /// Duration of a step (s).
-    fn step(&self) -> f32 {
-        self.dt / self.steps as f32
-    }
-
     /// Steps per frame that a body needs whose narrowest element has this width (domain lengths) and whose nodes, from `first` on, have
     /// these parts of its surface.
     fn least_steps(
@@ -189,8 +181,6 @@ pub struct Lattice {
     inverse_mass: Vec<f32>,
     points: Vec<Point>,
     surfaces: Surfaces,
-    /// Rows of the particles in no body, if there is a body.
-    others: Vec<u32>,
 }
 
 /// Scratch buffers of a frame.
@@ -203,7 +193,6 @@ pub struct Scratch {
     impulses: Vec<Impulse>,
     /// Of each part of a surface.
     parts: Vec<Node>,
-    loose: Loose,
 }
 
 /// A node within a frame.
@@ -241,12 +230,6 @@ impl Lattice {
                 lattice.add(&body, &places, spacing, f64::from(cell_width) * spacing);
             }
         }
-        if !lattice.is_empty() {
-            let mut is_other = vec![true; material.len()];
-            lattice.rows.iter().for_each(|&row| is_other[row as usize] = false);
-            let others = (0..).zip(is_other).filter(|(_, is_other)| *is_other);
-            lattice.others = others.map(|(row, _)| row).collect();
-        }
         lattice
     }
 
@@ -257,7 +240,6 @@ impl Lattice {
             place[from as usize] = row as u32;
         }
         self.rows.iter_mut().for_each(|row| *row = place[*row as usize]);
-        self.others.iter_mut().for_each(|row| *row = place[*row as usize]);
         self
     }
 
@@ -299,11 +281,6 @@ impl Lattice {
     /// The parts of each body.
     pub fn surfaces(&self) -> &[Range<u32>] {
         &self.surfaces.bodies
-    }
-
-    /// Rows of the particles in no body, if there is a body.
-    pub fn others(&self) -> &[u32] {
-        &self.others
     }
 
     /// Whether there is no body.
@@ -398,7 +375,7 @@ impl Lattice {
         }
     }
 
-    /// The impulses of the bodies' particles and of others close to them, as pairs of row and impulse. Positions and velocities are by rows
+    /// The impulses of a frame's particles, as pairs of row and impulse; no others get one. Positions and velocities are by rows
     /// (domain lengths, domain lengths per second).
     pub fn impulses<'s>(
         &'s self,
@@ -411,20 +388,17 @@ impl Lattice {
             lower: lower.map(|wall| wall + elasticity.wall_distance),
             upper: upper.map(|wall| wall - elasticity.wall_distance),
         };
-        let Elasticity { steps, gravity, contact, .. } = *elasticity;
+        let Elasticity { steps, dt, gravity, .. } = *elasticity;
         self.fit(motion, scratch);
-        let Scratch { nodes, start, impulses, parts, loose, .. } = scratch;
+        let Scratch { nodes, start, impulses, parts, .. } = scratch;
         start.clone_from(nodes);
-        self.surfaces.locate(nodes, parts);
-        loose.find(&self.others, motion, (parts, &self.surfaces.bodies), &contact);
-        let step = elasticity.step();
+        let step = dt / steps as f32;
         let fall = gravity.map(|gravity| gravity * step);
         for _ in 0..steps {
             for point in &self.points {
                 stress::add_forces(elasticity, point, nodes);
             }
-            self.surfaces.add_forces(elasticity, &walls, fall, (parts, loose), nodes);
-            loose.advance(step, fall);
+            self.surfaces.add_forces(elasticity, &walls, fall, parts, nodes);
             for (node, inverse_mass) in nodes.iter_mut().zip(&self.inverse_mass) {
                 node.advance(step, *inverse_mass, fall);
             }
@@ -438,12 +412,8 @@ impl Lattice {
                 body.fill(Impulse::default());
             }
         }
-        let (impulses, loose) = (&*impulses, &*loose);
-        let of_others = loose.rows.iter().zip(loose.start.iter().zip(&loose.nodes));
-        let of_others = of_others
-            .map(|(&row, (from, to))| (row as usize, Impulse::between(from, to, elasticity)))
-            .filter(|(_, impulse)| impulse.has_converged());
-        let of_bodies = self.rows.iter().zip(&self.corners).map(move |(&row, corners)| {
+        let impulses = &*impulses;
+        self.rows.iter().zip(&self.corners).map(move |(&row, corners)| {
             let mut sum = Impulse::default();
             for Share { index, weight } in corners {
                 let Impulse { velocity_change, displacement } = impulses[*index as usize];
@@ -451,8 +421,7 @@ impl Lattice {
                 add_scaled(&mut sum.displacement, *weight, displacement);
             }
             (row as usize, sum)
-        });
-        of_bodies.chain(of_others)
+        })
     }
 }
 

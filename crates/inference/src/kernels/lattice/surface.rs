@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::{Contact, Elasticity, Node, SurfacePart, Walls, add_scaled, loose::Loose};
+use super::{Contact, Elasticity, Node, SurfacePart, Walls, add_scaled};
 
 /// Speed away from a wall from which on its push is the share [`Elasticity::rebound`] (domain lengths per second).
 const REBOUNDING: f32 = 0.1;
@@ -17,40 +17,34 @@ pub(super) struct Surfaces {
 }
 
 impl Surfaces {
-    /// The position and velocity of each part.
-    pub(super) fn locate(&self, nodes: &[Node], parts: &mut Vec<Node>) {
+    /// Adds the forces of walls and between bodies to the nodes. `fall` is what gravity adds to velocities in the step, `parts` a scratch
+    /// buffer: position, velocity and force of each part.
+    pub(super) fn add_forces(
+        &self,
+        elasticity: &Elasticity,
+        walls: &Walls,
+        fall: [f32; 2],
+        parts: &mut Vec<Node>,
+        nodes: &mut [Node],
+    ) {
         parts.clear();
         parts.extend(self.parts.iter().map(|part| {
             let mut own = Node::default();
             for (&node, &weight) in part.nodes.iter().zip(&part.weights) {
                 own.add(weight, &nodes[node as usize]);
             }
+            own.force = push(elasticity, walls, fall, part, &own);
             own
         }));
-    }
-
-    /// Adds the forces of walls, between bodies, and of loose particles to the nodes. `fall` is what gravity adds to velocities in the step,
-    /// `parts` a scratch buffer.
-    pub(super) fn add_forces(
-        &self,
-        elasticity: &Elasticity,
-        walls: &Walls,
-        fall: [f32; 2],
-        (parts, loose): (&mut Vec<Node>, &mut Loose),
-        nodes: &mut [Node],
-    ) {
-        self.locate(nodes, parts);
-        for (part, own) in self.parts.iter().zip(&mut *parts) {
-            own.force = push(elasticity, walls, fall, part, own);
-        }
         let reach = elasticity.contact.distance;
         // Each body with those before it.
         for body in self.bodies.iter().skip(1) {
             let [start, end] = [body.start, body.end].map(|part| part as usize);
-            let bounds = bounds(&parts[start..end]);
+            let [lower, upper] = bounds(&parts[start..end]);
             let (before, later) = parts.split_at_mut(start);
             for (one, from) in before.iter_mut().enumerate() {
-                if !is_within(reach, &bounds, from.position) {
+                let near = |axis: usize| lower[axis] - reach..upper[axis] + reach;
+                if !(0..2).all(|axis| near(axis).contains(&from.position[axis])) {
                     continue;
                 }
                 for (other, to) in (start..end).zip(&mut *later) {
@@ -62,7 +56,6 @@ impl Surfaces {
                 }
             }
         }
-        loose.exchange(&elasticity.contact, elasticity.step(), parts);
         for (part, own) in self.parts.iter().zip(&*parts) {
             for (&node, &weight) in part.nodes.iter().zip(&part.weights) {
                 add_scaled(&mut nodes[node as usize].force, weight, own.force);
@@ -71,13 +64,8 @@ impl Surfaces {
     }
 }
 
-/// Whether a place is within `reach` of a box along both axes.
-pub(super) fn is_within(reach: f32, [lower, upper]: &[[f32; 2]; 2], place: [f32; 2]) -> bool {
-    (0..2).all(|axis| (lower[axis] - reach..upper[axis] + reach).contains(&place[axis]))
-}
-
 /// The smallest box around parts.
-pub(super) fn bounds(parts: &[Node]) -> [[f32; 2]; 2] {
+fn bounds(parts: &[Node]) -> [[f32; 2]; 2] {
     parts.iter().fold([[f32::MAX; 2], [f32::MIN; 2]], |[lower, upper], part| {
         let along = |axis: usize| {
             let place = part.position[axis];

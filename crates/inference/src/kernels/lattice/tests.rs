@@ -336,48 +336,6 @@ fn bodies_that_meet_exchange_momentum_and_do_not_enter_each_other() {
     assert!(largest(found.iter().map(|own| own.velocity_change)) < 1e-3);
 }
 
-/// Jelly hits liquid that lies still, without gravity and walls.
-#[test]
-fn particles_of_other_matter_exchange_momentum_with_a_body_that_they_touch() {
-    let (jelly, liquid) = (block(14, 14), block(10, 14));
-    let at = |gap: f32| liquid.iter().map(move |[x, y]| [x + (13.0 + gap) * SPACING, *y]);
-    let rest: Vec<_> = jelly.iter().copied().chain(at(1.5)).collect();
-    let material = [vec![Material::Jelly; 196], vec![Material::Liquid; 140]].concat();
-    let shape = RestShape::new(&rest, &material, 1, SPACING);
-    let lattice = Lattice::new((&shape, 0..rest.len()), &rest, &material, SPACING, (3.5, LAW));
-    assert_eq!(lattice.others(), (196..336).collect::<Vec<u32>>());
-    let speed = |row| if row < 196 { [2.0, 0.3] } else { [0.0; 2] };
-    let velocity: Vec<_> = (0..rest.len()).map(speed).collect();
-    let found = impulses(&lattice, &LAW, &FAR, &rest, &velocity);
-    let sum = |rows: Range<usize>, axis: usize| {
-        found[rows].iter().map(|own| own.velocity_change[axis]).sum::<f32>()
-    };
-    for axis in 0..2 {
-        // A loose particle has the inertia of four.
-        let (lost, gained) = (sum(0..196, axis), 4.0 * sum(196..336, axis));
-        assert!(lost < -1.0 && (lost + gained).abs() < 0.02, "{lost}, {gained}");
-    }
-    // The nearest gain most, and none is faster than the body was; those that are further than twice the contact distance gain nothing.
-    let gained = |column: usize| found[196 + column].velocity_change[0];
-    assert!(gained(0) > 0.2 && gained(0) < 2.0, "{}", gained(0));
-    assert!(gained(0) > gained(2) && gained(2) > 0.0, "{}", gained(2));
-    assert_eq!(gained(9), 0.0);
-
-    // In any order of rows.
-    let order: Vec<u32> = (0..rest.len() as u32).rev().collect();
-    let turned = |values: &[[f32; 2]]| values.iter().rev().copied().collect::<Vec<_>>();
-    let reversed = lattice.clone().permuted(&order);
-    let back = impulses(&reversed, &LAW, &FAR, &turned(&rest), &turned(&velocity));
-    assert_eq!(back.into_iter().rev().collect::<Vec<_>>(), found);
-
-    // Further apart, they do nothing to each other; nor does a particle without a place.
-    for position in [at(8.0).collect(), vec![[f32::NAN; 2]; 140]] {
-        let position = [jelly.clone(), position].concat();
-        let found = impulses(&lattice, &LAW, &FAR, &position, &velocity);
-        assert!(largest(found.iter().map(|own| own.velocity_change)) < 1e-3);
-    }
-}
-
 /// One element for each body, as wide as it is: steps are as short as the narrower needs them.
 #[test]
 fn narrow_bodies_of_stiff_jelly_have_short_steps_and_meet_each_other_and_a_wall() {
