@@ -14,7 +14,7 @@ use std::{
 use eddy_frames::{Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, ElasticOptions, FrameOptions, GridOptions,
+        Architecture, Checkpoint, Core, Description, ElasticRule, FrameOptions, GridOptions,
         Pooling, Sizes, Weights, tensor_shapes,
     },
     engine::Surrogate,
@@ -75,8 +75,8 @@ fn checkpoint(architecture: Architecture, core: Core, pooling: Pooling) -> Check
         frame: FrameOptions { pooling, ..FrameOptions::default() },
         ..Description::untrained(architecture, core, sizes)
     };
-    let elastic = |grid: &GridOptions| ElasticOptions::new(300.0, grid.spacing, description.dt);
-    description.elastic = description.grid.as_ref().map(elastic);
+    let elastic = |grid: &GridOptions| ElasticRule::new(300.0, grid.spacing, description.dt);
+    description.rules.elastic = description.grid.as_ref().map(elastic);
     let tensors = tensor_shapes(&description).into_iter().map(|(name, shape)| {
         let length = shape.iter().product();
         let values = (0..length).map(|n| 0.05 * (n as f32).sin()).collect();

@@ -1,7 +1,7 @@
-"""The elastic impulse of jelly in PyTorch: bilinear elements on a lattice for each body, fitted to its particles by least squares.
+"""The rule `elastic` in PyTorch: bilinear elements on a lattice for each body of jelly, fitted to its particles by least squares.
 
-It follows the description in eddy's documentation and `[elastic]` of `model.toml`, with dense matrices where eddy has sparse ones, for networks
-that are not conditioned on the stiffness and bodies that are not narrower than an element, which needs more steps.
+It follows the description in eddy's documentation and `[rules.elastic]` of `model.toml`, with dense matrices where eddy has sparse ones, for
+networks that are not conditioned on the stiffness and bodies that are not narrower than an element, which needs more steps.
 """
 
 import math
@@ -14,13 +14,15 @@ from torch_core import Bodies
 
 # Particles of a body at least, share of a full element's particles that fills an element, mass of a node at least (full elements).
 FEWEST, FILLED, LIGHTEST = 16, 0.4, 0.1
-# Width of the parts of a surface, and what the stiffnesses of walls and contact refer to (spacings).
+# Width of the parts of a surface, and what the stiffness of walls refers to (spacings).
 PART, SURFACE_WIDTH = 1.75, 3.5
 # Speed away from a wall from which on its push is the share `rebound`.
 REBOUNDING = 0.1
-# Distance of connected particles (spacings); stretch from which on a point has no stress; largest change of a node's velocity, with a
+# Distance of connected particles (spacings); largest change of a node's velocity, with a
 # larger one there is none.
-CONNECTED, TORN, FASTEST = 1.5, 1.6, 64.0
+CONNECTED, FASTEST = 1.5, 64.0
+# Strain that tears a body while walls push it, relative to that of a free one.
+PUSHED_STRAIN = 2
 CORNERS = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -109,8 +111,7 @@ class Lattice:
         strain = (strain + strain.mT) / 2
         stress = law.viscosity * math.sqrt(law.modulus) * self.width.mean() * strain @ turn
         stress = stress + 2 * law.mu * (f - turn) + law.lam * (torch.linalg.det(f) - 1)[:, None, None] * cofactor
-        whole = self.count * (torch.linalg.svdvals(f)[:, 0] <= TORN)
-        force = -torch.einsum("q,qij,qmj->mi", whole.to(x), stress, self.gradients)
+        force = -torch.einsum("q,qij,qmj->mi", self.count.to(x), stress, self.gradients)
         place, speed = self.weights @ x, self.weights @ v + law.gravity * step
         depth = (law.lower - place).clamp(min=0) - (place - law.upper).clamp(min=0)
         share = 1 - (1 - law.rebound) * (speed * depth.sign() / REBOUNDING).clamp(0, 1)
@@ -118,52 +119,13 @@ class Lattice:
         return force + self.weights.T @ push
 
 
-def contact(one: Lattice, other: Lattice, nodes: list[tuple[Tensor, Tensor]], law: "Elastic") -> tuple[Tensor, Tensor]:
-    """The forces between the surfaces of two bodies on their nodes, [M, 2] each."""
-    (x, v), (y, w) = ((own.weights @ place, own.weights @ speed) for own, (place, speed) in zip((one, other), nodes, strict=True))
-    apart, speed = x.unsqueeze(1) - y, v.unsqueeze(1) - w
-    gap = apart.norm(dim=-1).clamp(min=1e-9)
-    p, q = one.particles.unsqueeze(1), other.particles
-    depth = 2 * p * q / (p + q) * (law.contact_distance - gap).clamp(min=0)
-    spring = law.contact_stiffness * law.rate**2 * depth / gap
-    exchange = law.contact_viscosity * law.rate * depth / law.contact_distance
-    force = spring.unsqueeze(-1) * apart - exchange.unsqueeze(-1) * speed
-    return one.weights.T @ force.sum(1), -other.weights.T @ force.sum(0)
-
-
-def impulses(lattices: list[Lattice], bodies: list[tuple[Tensor, Tensor]], law: "Elastic") -> list[tuple[Tensor, Tensor]]:
-    """What to add to the velocities of each body before a frame and to the positions after it, [P, 2] each."""
-    start = [lattice.fit(*body) for lattice, body in zip(lattices, bodies, strict=True)]
-    nodes, step = start, law.dt / law.steps
-    for _ in range(law.steps):
-        forces = [lattice.forces(x, v, law, step) for lattice, (x, v) in zip(lattices, nodes, strict=True)]
-        for other in range(len(lattices)):
-            for one in range(other):
-                pair = contact(lattices[one], lattices[other], [nodes[one], nodes[other]], law)
-                forces[one], forces[other] = forces[one] + pair[0], forces[other] + pair[1]
-        speeds = [
-            v + step * (force / lattice.mass.unsqueeze(1) + law.gravity)
-            for lattice, (_, v), force in zip(lattices, nodes, forces, strict=True)
-        ]
-        nodes = [(x + step * v, v) for (x, _), v in zip(nodes, speeds, strict=True)]
-    fallen = law.gravity * law.dt
-    found = []
-    for lattice, (x0, v0), (x, v) in zip(lattices, start, nodes, strict=True):
-        faster = v - v0 - fallen
-        farther = x - x0 - (v0 + faster + fallen / 2) * law.dt
-        if not bool((faster.abs() <= FASTEST).all()):
-            faster, farther = torch.zeros_like(faster), torch.zeros_like(farther)
-        found.append((lattice.values @ faster, lattice.values @ farther))
-    return found
-
-
 class Elastic:
-    """The impulses of a checkpoint with `[elastic]`."""
+    """The rule of a checkpoint with `[rules.elastic]`."""
 
     def __init__(self, description: dict[str, Any]) -> None:
         if description.get("stiffness"):
-            raise ValueError("elastic impulses of a network that is conditioned on the stiffness: found stiffness = true, expected false")
-        self.options, self.dt = description["elastic"], description["dt"]
+            raise ValueError("the rule `elastic` of a network that is conditioned on the stiffness: found stiffness = true, expected false")
+        self.options, self.dt = description["rules"]["elastic"], description["dt"]
         self.spacing = description["surroundings"]["spacing"]
         modulus, ratio = self.options["modulus"], self.options["poisson_ratio"]
         self.mu, self.lam = modulus / (2 * (1 + ratio)), modulus * ratio / ((1 + ratio) * (1 - 2 * ratio))
@@ -171,11 +133,9 @@ class Elastic:
         self.rate = math.sqrt(self.modulus) / (SURFACE_WIDTH * self.spacing)
         self.steps, self.viscosity = self.options["steps"], self.options["viscosity"]
         self.wall_stiffness, self.rebound = self.options["wall_stiffness"], self.options["rebound"]
-        self.contact_distance = self.options["contact_distance"] * self.spacing
-        self.contact_stiffness, self.contact_viscosity = self.options["contact_stiffness"], self.options["contact_viscosity"]
         scale, distance = description["normalization"], self.options["wall_distance"] * self.spacing
-        self.lower = torch.tensor(scale["minimum"][:2], dtype=torch.double) + distance
-        self.upper = torch.tensor(scale["maximum"][:2], dtype=torch.double) - distance
+        self.walls = [torch.tensor(scale[side][:2], dtype=torch.double) for side in ("minimum", "maximum")]
+        self.lower, self.upper = self.walls[0] + distance, self.walls[1] - distance
         self.gravity = torch.tensor(description["gravity"], dtype=torch.double)
 
     def lattices(self, rest: Tensor, linked: Tensor) -> list[tuple[Tensor, Lattice]]:
@@ -191,14 +151,39 @@ class Elastic:
         rows = [(body == number).nonzero().squeeze(1) for number in body[body >= 0].unique()]
         return [(own, Lattice(rest[own].double(), self.spacing, self.options)) for own in rows if len(own) >= FEWEST]
 
-    def impulses(self, bodies: Bodies, lattices: list[list[tuple[Tensor, Lattice]]]) -> Bodies:
-        """Those of T frames of B windows, [T, B, N, 2]: velocities before a frame, positions after it."""
-        faster, farther = (torch.zeros_like(track) for track in bodies)
-        for window, own in enumerate(lattices):
-            rows, shapes = [rows for rows, _ in own], [lattice for _, lattice in own]
-            for frame in range(len(faster)):
-                position, velocity = (track[frame, window].double() for track in bodies)
-                found = impulses(shapes, [(position[row], velocity[row]) for row in rows], self)
-                for row, (change, way) in zip(rows, found, strict=True):
-                    faster[frame, window, row], farther[frame, window, row] = change.to(faster), way.to(faster)
-        return farther, faster
+    def move(self, position: Tensor, velocity: Tensor, lattice: Lattice) -> Bodies | None:
+        """A body's particles one frame later, [P, 2] each; none if its lattice diverges."""
+        x0, v0 = x, v = lattice.fit(position, velocity)
+        step = self.dt / self.steps
+        for _ in range(self.steps):
+            v = v + step * (lattice.forces(x, v, self, step) / lattice.mass.unsqueeze(1) + self.gravity)
+            x = x + step * v
+        fallen = self.gravity * self.dt
+        faster = v - v0 - fallen
+        if not bool((faster.abs() <= FASTEST).all()):
+            return None
+        farther = x - x0 - (v0 + faster + fallen / 2) * self.dt
+        velocity = velocity + lattice.values @ faster
+        moved = position + (velocity + fallen / 2) * self.dt + lattice.values @ farther
+        return moved.clamp(*self.walls), velocity + fallen
+
+    def replace(self, shown: Bodies, next: Bodies, lattices: list[tuple[Tensor, Lattice]]) -> Bodies:
+        """The prediction `next` after `shown`, [N, 2] each, with the motion of bodies of jelly that are whole and nothing else is close to."""
+        position, velocity = (track.double() for track in shown)
+        to, speed = (track.clone() for track in next)
+        for rows, lattice in lattices:
+            is_other = torch.ones(len(position), dtype=torch.bool)
+            is_other[rows] = False
+            nodes = lattice.fit(position[rows], velocity[rows])[0]
+            stretch = torch.linalg.svdvals(torch.einsum("mi,qmj->qij", nodes, lattice.gradients))[:, 0]
+            parts = lattice.weights @ nodes
+            pushed = bool(((parts < self.lower) | (parts > self.upper)).any())
+            strain = (PUSHED_STRAIN if pushed else 1) * (self.options["most_stretch"] - 1)
+            if bool((stretch > 1 + strain).any()):
+                continue
+            if bool((torch.cdist(position[is_other], parts) < self.options["clear_distance"] * self.spacing).any()):
+                continue
+            moved = self.move(position[rows], velocity[rows], lattice)
+            if moved is not None:
+                to[rows], speed[rows] = (track.to(to) for track in moved)
+        return to, speed

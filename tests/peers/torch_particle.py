@@ -146,11 +146,12 @@ class ParticleModel(nn.Module):
         sizes, surroundings = description["sizes"], description["surroundings"]
         width, hidden, channels = sizes["encoder"], sizes["hidden"], surroundings["channels"]
         # Share of the excess that the rule `area` removes in a frame: all in format version 1, which has no rules.
-        self.rate = description.get("rules", {}).get("area", {}).get("rate", 1.0)
+        rules = description.get("rules", {})
+        self.rate = rules.get("area", {}).get("rate", 1.0)
+        self.elastic = Elastic(description) if "elastic" in rules else None
         self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
 
         self.is_conditioned = description.get("stiffness", False)
-        self.elastic = Elastic(description) if "elastic" in description else None
         features, c0 = FEATURES + self.is_conditioned, channels[0]
         self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, c0)])
         levels = []
@@ -192,10 +193,9 @@ class ParticleModel(nn.Module):
         for name, tensor in constants.items():
             self.register_buffer(name, tensor, persistent=False)
 
-    def matter(self, material: Tensor, rest: Tensor, stiffness: Tensor | None = None) -> tuple[Any, ...]:
+    def matter(self, material: Tensor, rest: Tensor, stiffness: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Static inputs: materials [B, N] as features [B, N, 4], with the stiffness [B] behind them, [B, N, 5], if the network
-        is conditioned on it; `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame; and the lattices
-        of jelly of each window, if the network sees it after an elastic impulse."""
+        is conditioned on it; and `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame."""
         if (stiffness is not None) != self.is_conditioned:
             raise ValueError(f"found stiffness {stiffness}, expected {'one for each window' if self.is_conditioned else 'none'}")
         features = one_hot(material, len(MATERIALS)).to(self.unit)
@@ -203,27 +203,16 @@ class ParticleModel(nn.Module):
             feature = torch.log10(stiffness.to(self.unit) / MIDDLE_STIFFNESS) / STIFFNESS_DECADES
             feature = feature.clamp(-MAX_STIFFNESS_FEATURE, MAX_STIFFNESS_FEATURE)
             features = torch.cat([features, feature[:, None, None].expand(-1, material.shape[1], 1)], -1)
-        shape = rest_shape(rest, material, self.spacing).to(self.unit)
-        if self.elastic is None:
-            return features, shape
-        jelly = (material == MATERIALS.index("jelly")).unsqueeze(2)
-        linked = (rest_neighbours(rest, material, self.spacing)[0] > 0) & jelly
-        return features, shape, [self.elastic.lattices(*window) for window in zip(rest, linked)]
+        return features, rest_shape(rest, material, self.spacing).to(self.unit)
 
     def forward(
-        self, bodies: Bodies, matter: tuple[Any, ...], state: tuple[State, Tensor] | None = None
+        self, bodies: Bodies, matter: tuple[Tensor, Tensor], state: tuple[State, Tensor] | None = None
     ) -> tuple[Bodies, tuple[State, Tensor]]:
         """The frame after each of T frames, and after the last one the core's state and the velocities expected from the
         ballistic step; `matter` comes from `matter()`."""
         position, velocity = (track.to(self.unit) for track in bodies)
-        matter, lattices = matter[:2], matter[2:]
-        if lattices:
-            beyond, faster = self.elastic.impulses((position, velocity), *lattices)
-            velocity = velocity + faster
         carried, expected = (None, velocity[0]) if state is None else state
         fallen_position, fallen_velocity, impulse = self.fall(position, velocity)
-        if lattices:
-            fallen_position = fallen_position + beyond
         residual = velocity - torch.cat([expected.unsqueeze(0), fallen_velocity[:-1]])
         features = self.features(position, torch.cat([velocity, residual, impulse], -1), matter)  # [T, B, N, F]
 

@@ -17,8 +17,8 @@ use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, ElasticOptions, Form, GridOptions,
-        Normalization, Rules, Sizes, initial_weights, tensors_of_knots,
+        Architecture, Checkpoint, Core, Description, ElasticRule, Form, GridOptions, Normalization,
+        Rules, Sizes, initial_weights, tensors_of_knots,
     },
     engine::{Accelerator, StepRequest, Surrogate},
 };
@@ -94,12 +94,12 @@ proptest! {
 }
 
 #[test]
-fn jelly_has_the_elastic_impulse_that_it_has_on_the_processor() {
+fn jelly_moves_by_its_elasticity_as_it_does_on_the_processor() {
     let frames = jelly(4);
     for stiffness in [false, true] {
-        let plain = Description { stiffness, ..small(Core::MinGru).description };
-        let description = Description { rules: Rules::default(), ..elastic(&plain) };
-        let checkpoint = checkpoint(description, 3);
+        let rules = Rules::default();
+        let plain = Description { stiffness, rules, ..small(Core::MinGru).description };
+        let checkpoint = checkpoint(elastic(&plain), 3);
         let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
         let found = predict(&emulated(&checkpoint), &frames);
         for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {

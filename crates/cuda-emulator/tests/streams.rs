@@ -20,8 +20,8 @@ use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Architecture, Checkpoint, Core, Description, ElasticOptions, FeatureScaling,
-        Form, FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Sizes,
+        Activation, Architecture, Checkpoint, Core, Description, ElasticRule, FeatureScaling, Form,
+        FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Rules, Sizes,
         initial_weights,
     },
     engine::Surrogate,

@@ -30,9 +30,9 @@ pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
-    include_str!("particle_elastic.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
+    include_str!("particle_elastic.cu"),
 );
 
 /// The kernels of the particle model and of its training, as one text.
@@ -40,9 +40,9 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("particle_nodes.cu"),
-    include_str!("particle_elastic.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
+    include_str!("particle_elastic.cu"),
     include_str!("observed.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
@@ -51,7 +51,6 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("particle_training/products.cu"),
     include_str!("particle_training/plan.cu"),
     include_str!("particle_training/cells.cu"),
-    include_str!("particle_training/elastic.cu"),
     include_str!("particle_training/layers.cu"),
     include_str!("particle_training/particles.cu"),
     include_str!("particle_training/gradients.cu"),
@@ -253,14 +252,12 @@ kernels! {
     ParticleBodiesFlight = "particle_bodies_flight",
     /// Rest rule.
     ParticleBodiesRest = "particle_bodies_rest",
+    /// The motion of bodies of jelly.
+    ParticleElastic = "particle_elastic",
     /// Predictions, to the memory of the host.
     ParticleStore = "particle_store",
-    /// Elastic impulses of jelly.
-    ParticleElastic = "particle_elastic",
     /// Training of the particle model: observed frames out of the trajectories, with noise.
     TrainObserve = "train_observe",
-    /// Elastic impulses of jelly.
-    TrainElastic = "train_elastic",
     /// Cells and nodes.
     TrainCells = "train_cells",
     /// Features and encoder.

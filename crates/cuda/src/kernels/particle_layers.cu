@@ -150,7 +150,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stre
       for (int k = 0; k < F4; k++) own[k] = 0.0f;
       if (row >= count) continue;
       const u32 p = s.order[begin + row];
-      const Body body = seen_body(s, p, s.bodies[p]);
+      const Body body = s.bodies[p];
 #pragma unroll
       for (int a = 0; a < 2; a++) {
         const float before = s.begun ? s.expected[2 * p + a] : body.v[a];
@@ -529,13 +529,12 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
     __syncthreads();
     for (int row = threadIdx.x; row < count; row += THREADS) {
       const u32 p = s.order[begin + row];
-      const Body body = seen_body(s, p, s.bodies[p]);
+      const Body body = s.bodies[p];
       Body next;
 #pragma unroll
       for (int a = 0; a < 2; a++) {
         const Fall fall = ballistic(s, body, a);
-        const float v = fmaf(x[row * x_stride + a], s.unit, fall.v), to = fall.x + elastic_displacement(s, p, a);
-        const float place = fmaf(x[row * x_stride + 2 + a] * s.unit, s.dt, to);
+        const float v = fmaf(x[row * x_stride + a], s.unit, fall.v), place = fmaf(x[row * x_stride + 2 + a] * s.unit, s.dt, fall.x);
         // Comparisons: NaN stays NaN.
         const float faster = v < s.slowest[a] ? s.slowest[a] : v, farther = place < s.wall_lower[a] ? s.wall_lower[a] : place;
         next.v[a] = faster > s.fastest[a] ? s.fastest[a] : faster;

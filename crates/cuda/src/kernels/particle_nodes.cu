@@ -72,11 +72,13 @@ struct Stream {
   u32* parents;                  // [nodes] a node of the same body, in the end the smallest
   u32* numbers;                  // [nodes] of the body with this smallest node
   BodySums* sums;                // [bodies]
-  // The elastic impulses of jelly; null where the stream has none, or the network sees matter as it is.
-  const Lattice* lattice;
-  Body* impulses;                // [n] displacements and changes of velocities
-  Body* lattice_nodes;           // [2, its nodes]
-  float* lattice_forces;         // [8 its points + 12 its parts]
+  // The lattices of bodies of jelly; none where the rule `elastic` is off.
+  const Lattice* lattices;
+  u64 lattice_count;
+  const u32* body_of;            // [n] number of the particle's body
+  Body* residuals;               // [n]
+  Body* lattice_nodes;           // [2, their nodes]
+  float* lattice_forces;         // [8 (their points and parts)]
   // The frame.
   u32 particles;
   u32 begun;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use eddy_inference::{checkpoint::Description, kernels::rest_shape::RestShape};
 
-use super::{Constants, Store, StoreWriter, Training, training::elastic_bytes};
+use super::{Constants, Store, StoreWriter, Training};
 use crate::{
     device::Device,
     error::{CudaError, Result},
@@ -34,11 +34,7 @@ pub fn bytes(
         Training::new(counter.clone(), store.clone(), description, settings)?;
         largest = largest.max(counter.take());
     }
-    let lattices = match description.elastic {
-        Some(_) => elastic_bytes(streams.iter().map(|&(particles, _)| particles), stages),
-        None => 0,
-    };
-    Ok(largest + Store::bytes(streams.iter().copied()) + lattices + LIBRARIES)
+    Ok(largest + Store::bytes(streams.iter().copied()) + LIBRARIES)
 }
 
 /// Checks that a device has room for the largest of several stages on streams of so many particles and frames.

@@ -10,7 +10,6 @@
 //! | load | 256 particles | frames in the memory of the host | particles, counts of cells, marks of nodes |
 //! | scan | a map | counts, marks | first slots of cells, numbers of nodes |
 //! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
-//! | elastic | a stream | particles, lattices | impulses of jelly |
 //! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
 //! | layers on nodes | a few nodes | a list | another list |
@@ -31,7 +30,7 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    lattice::ELASTIC_THREADS,
+    lattice::{ELASTIC_BLOCKS, ELASTIC_THREADS},
     layout::{Constants, Layout, NODE_THREADS},
     stream::{Memory, RULES, Row, Scales, Size},
 };
@@ -95,8 +94,6 @@ pub struct Inference {
     weights: Buffer,
     /// `struct Rules` of the kernels.
     rules: Buffer,
-    /// Whether the network sees jelly after an elastic impulse.
-    has_impulses: bool,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
     rows: Buffer,
@@ -149,7 +146,6 @@ impl Inference {
             domain: description.domain,
             weights: device.allocate(4 * layout.size)?,
             rules: device.allocate(4 * RULES)?,
-            has_impulses: description.elastic.is_some(),
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
             rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
             zeros: device.allocate(0)?,
@@ -175,7 +171,7 @@ impl Inference {
     }
 
     fn size(&self, memory: &Memory, domain: &Domain) -> Size {
-        Size::new(memory.particles(), memory.lattice(), domain, &self.scales)
+        Size::new(memory.particles(), memory.lattices(), domain, &self.scales)
     }
 
     /// Makes room for a step of such streams.
@@ -310,10 +306,6 @@ impl Inference {
         self.launch(Kernel::ParticleScan, scan, &[rows])?;
         self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
         self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
-        if self.has_impulses {
-            let by_stream = Shape::new(1, streams, ELASTIC_THREADS);
-            self.launch(Kernel::ParticleElastic, by_stream, &[rows])?;
-        }
         let [first, second] = self.layout.encoder.map(weights);
         let encode = by_tile(self.constants.encode_bytes());
         self.launch(Kernel::ParticleEncode, encode, &[rows, first, second])?;
@@ -342,10 +334,14 @@ impl Inference {
         blocks: &dyn Fn(usize, usize) -> usize,
     ) -> Result<()> {
         let Extent { streams, nodes, cells, area, solve, .. } = extent;
-        let checkpoint::Rules { area: area_rule, shape, rest, .. } = self.scales.rules;
+        let checkpoint::Rules { elastic, area: area_rule, shape, rest, .. } = self.scales.rules;
         let (rows, rules): (Argument, Argument) =
             (self.rows.address().into(), self.rules.address().into());
         let all = [rows, rules];
+        if elastic.is_some() {
+            let by_body = Shape::new(ELASTIC_BLOCKS, streams, ELASTIC_THREADS);
+            self.launch(Kernel::ParticleElastic, by_body, &[rows])?;
+        }
         if let Some(rule) = area_rule {
             self.launch(Kernel::ParticleAreaFill, by_particle, &all)?;
             if let Some(shared) = solve {

@@ -14,10 +14,7 @@ use eddy_inference::{
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
 
-use super::{
-    lattice::{DeviceLattice, Placed},
-    layout::Constants,
-};
+use super::{lattice::DeviceLattices, layout::Constants};
 use crate::{
     device::{Address, Buffer, Device, Queue},
     error::Result,
@@ -76,8 +73,10 @@ pub(super) struct Row {
     parents: u64,
     numbers: u64,
     sums: u64,
-    lattice: u64,
-    impulses: u64,
+    lattices: u64,
+    lattice_count: u64,
+    body_of: u64,
+    residuals: u64,
     lattice_nodes: u64,
     lattice_forces: u64,
     particles: u32,
@@ -97,7 +96,7 @@ pub(super) struct Row {
     stiffness: f32,
 }
 
-const _: () = assert!(size_of::<Row>() == 8 * (35 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
+const _: () = assert!(size_of::<Row>() == 8 * (37 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
@@ -128,7 +127,7 @@ impl Scales {
 
     /// `struct Rules` of the kernels.
     pub(super) fn constants(&self, ballistic: &Ballistic) -> [f32; RULES] {
-        let checkpoint::Rules { area, shape, flight, rest } = self.rules;
+        let checkpoint::Rules { area, shape, flight, rest, .. } = self.rules;
         let mut all = [0.0; RULES];
         if let Some(rule) = area {
             let share = 1.0 / (rule.cell_width * rule.cell_width);
@@ -175,15 +174,15 @@ pub(super) struct Size {
     /// Whether the rules for shapes and for bodies are on.
     shapes: bool,
     bodies: bool,
-    /// Nodes of its lattices, and numbers of 4 bytes of their forces; none where nothing has an elastic impulse.
-    lattice: [usize; 2],
+    /// Nodes of its lattices, and numbers of 4 bytes of their forces; none where the rule `elastic` is off.
+    lattices: [usize; 2],
 }
 
 impl Size {
     /// Of a stream in a domain.
     pub(super) fn new(
         particles: usize,
-        lattice: [usize; 2],
+        lattices: [usize; 2],
         domain: &Domain,
         scales: &Scales,
     ) -> Self {
@@ -193,7 +192,7 @@ impl Size {
             cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
         });
         let (shapes, bodies) = (scales.rules.shape.is_some(), scales.finds_bodies());
-        Self { particles, levels: scales.levels, extent, area, shapes, bodies, lattice }
+        Self { particles, levels: scales.levels, extent, area, shapes, bodies, lattices }
     }
 
     /// Parts of the map of level 0 that the running sums are made of.
@@ -283,9 +282,9 @@ impl Size {
             // Each has at least the nodes of one stencil.
             row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
         }
-        let [nodes, forces] = self.lattice;
+        let [nodes, forces] = self.lattices;
         if nodes > 0 {
-            row.impulses = places.next(BODY * n);
+            row.residuals = places.next(BODY * n);
             row.lattice_nodes = places.next(2 * BODY * nodes);
             row.lattice_forces = places.next(forces);
         }
@@ -321,8 +320,8 @@ struct Fixed {
     neighbours: u64,
     /// The feature of the stiffness; 0 where the network is not conditioned on it.
     stiffness: f32,
-    /// `struct Lattice` of the kernels and its lists, with numbers of nodes and of forces; none if nothing has an elastic impulse.
-    lattice: Option<([Buffer; 2], [usize; 2])>,
+    /// None where the rule `elastic` is off, or there is no jelly.
+    lattices: Option<DeviceLattices>,
 }
 
 /// What is remembered of a stream.
@@ -354,8 +353,8 @@ impl Memory {
     }
 
     /// Nodes of its lattices, and numbers of 4 bytes of their forces.
-    pub(super) fn lattice(&self) -> [usize; 2] {
-        self.fixed.lattice.as_ref().map_or([0; 2], |(_, counts)| *counts)
+    pub(super) fn lattices(&self) -> [usize; 2] {
+        self.fixed.lattices.as_ref().map_or([0; 2], |lattices| lattices.scratch)
     }
 
     /// That the coming frame is not the first.
@@ -374,7 +373,9 @@ impl Memory {
         host: [Address; 2],
         [zeros, scratch]: [&mut Address; 2],
     ) -> Row {
-        let size = Size::new(self.particles, self.lattice(), domain, scales);
+        let size = Size::new(self.particles, self.lattices(), domain, scales);
+        let own = self.fixed.lattices.as_ref();
+        let [lattices, body_of] = own.map_or([0; 2], DeviceLattices::addresses);
         let mut row: Row = bytemuck::Zeroable::zeroed();
         *zeros = zeros.plus(size.place_zeros(*zeros, &mut row));
         *scratch = scratch.plus(size.place_scratch(constants, *scratch, &mut row));
@@ -417,7 +418,9 @@ impl Memory {
             area_inside,
             area_walls,
             stiffness: self.fixed.stiffness,
-            lattice: self.fixed.lattice.as_ref().map_or(0, |([table, _], _)| table.address().0),
+            lattices,
+            lattice_count: own.map_or(0, |own| own.bodies as u64),
+            body_of,
             ..row
         }
     }
@@ -461,7 +464,7 @@ impl StreamMemory for Memory {
 
 impl Fixed {
     fn new(device: &dyn Device, stream: &StreamStart<'_>) -> Result<Self> {
-        let StreamStart { material, rest, lattice, stiffness, .. } = *stream;
+        let StreamStart { material, rest, lattices, stiffness, .. } = *stream;
         let mut numbers: Vec<u32> = vec![0; round_up(material.len().div_ceil(4), LINE)];
         bytemuck::cast_slice_mut(&mut numbers)[..material.len()].copy_from_slice(material);
         let mut places = [0; 3];
@@ -497,19 +500,7 @@ impl Fixed {
         };
         let [first, links, neighbours] = places.map(at);
         let stiffness = stiffness.unwrap_or_default();
-        let lattice = match lattice.is_empty() {
-            true => None,
-            false => {
-                let mut words = Vec::new();
-                let placed = Placed::append(lattice, &mut words)?;
-                let [table, lists] = [size_of::<DeviceLattice>(), size_of_val(&*words)];
-                let buffers = [device.allocate(table)?, device.allocate(lists)?];
-                let on_device = placed.on_device(buffers[1].address());
-                device.write(&buffers[0], 0, bytemuck::bytes_of(&on_device))?;
-                device.write(&buffers[1], 0, bytemuck::cast_slice(&words))?;
-                Some((buffers, [placed.nodes, placed.forces()]))
-            }
-        };
-        Ok(Self { first, links, neighbours, stiffness, lattice, buffer })
+        let lattices = DeviceLattices::new(device, lattices)?;
+        Ok(Self { first, links, neighbours, stiffness, lattices, buffer })
     }
 }

@@ -7,7 +7,6 @@
 //!
 //! | stage | a block has | reads | writes |
 //! |---|---|---|---|
-//! | elastic | a frame of a window | particles, lattices | impulses of jelly |
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
 //! | encode | 16 particles a warp | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
@@ -19,12 +18,11 @@
 //!
 //! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.
 //! 2. `plan`: the memory of a step.
-//! 3. `elastic`: impulses of jelly. `forward`, `backward`: its phases, with `nodes`: the layers on nodes. `weights`: the gradients by the weights.
+//! 3. `forward`, `backward`: its phases, with `nodes`: the layers on nodes. `weights`: the gradients by the weights.
 
 #![expect(unsafe_code, reason = "launches on memory of the device")]
 
 mod backward;
-mod elastic;
 mod forward;
 mod layout;
 mod nodes;
@@ -36,7 +34,6 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use eddy_inference::checkpoint::{Description, Weights, tensors_of_knot};
 
-pub(super) use elastic::elastic_bytes;
 pub use layout::TrainingConstants;
 pub use store::{Store, StoreWriter};
 
@@ -63,8 +60,6 @@ pub struct Training {
     optimizer: Optimizer,
     tables: Tables,
     memory: Memory,
-    /// Whether the network sees jelly after an elastic impulse.
-    has_impulses: bool,
     /// The transposed matrices, which the forward pass reads, and the table of those to transpose.
     transposed: Buffer,
     matrices: Buffer,
@@ -102,7 +97,6 @@ impl Training {
             settings: settings.clone(),
             tables,
             memory,
-            has_impulses: description.elastic.is_some(),
             constants,
             layout,
             store,

@@ -5,14 +5,14 @@ use std::{ops::Range, path::Path};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, ElasticOptions, Rules, VALID_KNOTS, elastic,
+    CheckpointError, Rules, VALID_KNOTS,
     fingerprints::Fingerprints,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules, valid_knots,
 };
 use crate::{
     engine::Ballistic,
-    kernels::{lattice::Lattice, rest_shape::RestShape},
+    kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
@@ -116,9 +116,6 @@ pub struct Description {
     /// Rules that correct the particle model's predictions; empty in a frame model.
     #[serde(default, skip_serializing_if = "Rules::is_empty")]
     pub rules: Rules,
-    /// Particle model: the elastic impulse of jelly, which the network sees jelly after; absent if jelly moves as other matter does.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub elastic: Option<ElasticOptions>,
     /// The domain in training.
     pub domain: Domain,
     /// Statistics of the training data.
@@ -137,23 +134,23 @@ impl Description {
     }
 
     /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this
-    /// stiffness (density x velocity^2), if the network is conditioned on it; empty if the network sees matter as it is.
-    pub fn lattice(
+    /// stiffness (density x velocity^2), if the network is conditioned on it; empty if the rule `elastic` is off.
+    pub fn lattices(
         &self,
         rest: (&RestShape, Range<usize>),
         position: &[[f32; 2]],
         material: &[Material],
         stiffness: Option<f32>,
-    ) -> Lattice {
-        let (Some(mut options), Some(grid)) = (self.elastic, &self.grid) else {
-            return Lattice::default();
+    ) -> Lattices {
+        let (Some(mut rule), Some(grid)) = (self.rules.elastic, &self.grid) else {
+            return Lattices::default();
         };
         let spacing = grid.spacing;
         if let Some(stiffness) = stiffness {
-            options = options.with_modulus(options.modulus * stiffness, spacing, self.dt);
+            rule = rule.with_modulus(rule.modulus * stiffness, spacing, self.dt);
         }
-        let elasticity = options.elasticity(&Ballistic::new(self), spacing);
-        Lattice::new(rest, position, material, spacing, (options.cell_width, elasticity))
+        let elasticity = rule.elasticity(&Ballistic::new(self), spacing);
+        Lattices::new(rest, position, material, spacing, (rule.cell_width, elasticity))
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
@@ -181,7 +178,6 @@ impl Description {
                 spacing: 1.0 / 128.0,
             }),
             rules: Rules::standard(architecture),
-            elastic: None,
             domain: Domain::UNIT,
             normalization: Normalization {
                 minimum: [0.0, 0.0, -1.0, -1.0],
@@ -270,8 +266,6 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             require(description.rules.is_empty(), "rules", &"a table", expected)?;
             let expected = "false for the frame model";
             require(!description.stiffness, "stiffness", &"true", expected)?;
-            let expected = "nothing for the frame model";
-            require(description.elastic.is_none(), "elastic", &"a table", expected)?;
         }
         Architecture::Particle => {
             let expected = "nothing for the particle model";
@@ -291,11 +285,8 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let (name, found) = ("surroundings.channels", format!("{channels:?}"));
         require(valid, name, &found, GridOptions::CHANNELS)?;
     }
-    rules::check(file, &description.rules)?;
-    if let Some(options) = &description.elastic {
-        let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
-        elastic::check(file, options, spacing, *dt, description.stiffness)?;
-    }
+    let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
+    rules::check(file, &description.rules, (spacing, *dt), description.stiffness)?;
     let corners = format!("{:?}, {:?}", domain.lower, domain.upper);
     require(domain.is_valid(), "domain", &corners, "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)

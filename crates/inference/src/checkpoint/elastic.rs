@@ -1,4 +1,4 @@
-//! `[elastic]` of `model.toml`: the constants of the elastic impulse of jelly ([`lattice`](crate::kernels::lattice)).
+//! `[rules.elastic]` of `model.toml`: the constants of the rule that jelly moves by its elasticity ([`lattice`](crate::kernels::lattice)).
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 use super::{CheckpointError, description::field};
 use crate::{
     engine::Ballistic,
-    kernels::lattice::{self, Contact, Elasticity},
+    kernels::lattice::{self, Elasticity},
 };
 
-/// Constants of the impulse that its own stress, walls and other bodies of jelly give jelly within a frame, after which the network sees it.
+/// Constants of the rule that a body of jelly moves by its own stress and the walls while nothing else is close to it, whatever was predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ElasticOptions {
+pub struct ElasticRule {
     /// Young's modulus of jelly (density x velocity^2), at density 1; in a network that is conditioned on the stiffness, relative to a stream's.
     pub modulus: f32,
     /// Poisson's ratio of jelly, at least 0 and below 0.5.
@@ -30,20 +30,18 @@ pub struct ElasticOptions {
     pub wall_stiffness: f32,
     /// Share of the push while jelly moves away from the wall, 0 to 1.
     pub rebound: f32,
-    /// Distance below which parts of the surfaces of two bodies are in contact (spacings at rest), 0 to 16.
-    pub contact_distance: f32,
-    /// Stiffness of a spring that keeps them apart, relative to the modulus of pressure waves over the square of 3.5 spacings, 0 to 1.
-    pub contact_stiffness: f32,
-    /// Rate at which they exchange momentum, relative to the speed of pressure waves over 3.5 spacings, 0 to 4.
-    pub contact_viscosity: f32,
+    /// Distance of any other particle below which a body moves as predicted (spacings at rest), 0 to 64.
+    pub clear_distance: f32,
+    /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain.
+    pub most_stretch: f32,
 }
 
-impl ElasticOptions {
+impl ElasticRule {
     /// The most steps per frame.
     pub const MOST_STEPS: usize = lattice::MOST_STEPS;
     /// Steps in the time that a pressure wave takes to cross an element, with which they are accurate.
     const STEPS_PER_CROSSING: f32 = 2.25;
-    /// Width that the stiffnesses of walls and contact refer to: two parts of a surface (spacings at rest).
+    /// Width that the stiffness of walls refers to: two parts of a surface (spacings at rest).
     const SURFACE_WIDTH: f32 = 2.0 * lattice::PART_WIDTH;
 
     /// For jelly of this modulus (density x velocity^2), particles at this distance (domain lengths) and frames of `dt` seconds.
@@ -52,7 +50,7 @@ impl ElasticOptions {
     }
 
     /// For jelly of another modulus. Where 25 steps are too few for elements 3.5 spacings wide, both grow: stiffer by r^2, jelly has elements
-    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticOptions::MOST_STEPS`].
+    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticRule::MOST_STEPS`].
     #[must_use]
     pub fn with_modulus(mut self, modulus: f32, spacing: f32, dt: f32) -> Self {
         self.modulus = modulus;
@@ -92,18 +90,14 @@ impl ElasticOptions {
         let Self { viscosity, rebound, steps, .. } = *self;
         // 1 / the time that a pressure wave takes to cross it.
         let rate = self.wave_speed() / (Self::SURFACE_WIDTH * spacing);
-        let contact = Contact {
-            distance: self.contact_distance * spacing,
-            stiffness: self.contact_stiffness * rate * rate,
-            viscosity: self.contact_viscosity * rate,
-        };
         Elasticity {
             lame: self.lame(),
             viscosity,
             wall_distance: self.wall_distance * spacing,
             wall_stiffness: self.wall_stiffness * rate * rate,
             rebound,
-            contact,
+            clear_distance: self.clear_distance * spacing,
+            most_stretch: self.most_stretch,
             steps,
             dt,
             gravity,
@@ -111,7 +105,7 @@ impl ElasticOptions {
     }
 }
 
-impl Default for ElasticOptions {
+impl Default for ElasticRule {
     /// For jelly whose modulus is .3 of a stream's stiffness.
     fn default() -> Self {
         Self {
@@ -123,9 +117,8 @@ impl Default for ElasticOptions {
             wall_distance: 2.85,
             wall_stiffness: 1.0,
             rebound: 0.8,
-            contact_distance: 3.5,
-            contact_stiffness: 0.2,
-            contact_viscosity: 4.0,
+            clear_distance: 7.0,
+            most_stretch: 1.25,
         }
     }
 }
@@ -133,14 +126,13 @@ impl Default for ElasticOptions {
 /// Checks the constants; those of a network that is conditioned on the stiffness fit every stream.
 pub(super) fn check(
     file: &Path,
-    options: &ElasticOptions,
-    spacing: f32,
-    dt: f32,
+    options: &ElasticRule,
+    (spacing, dt): (f32, f32),
     is_conditioned: bool,
 ) -> Result<(), CheckpointError> {
-    let ElasticOptions { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
-    let ElasticOptions { viscosity, wall_stiffness, rebound, .. } = *options;
-    let ElasticOptions { contact_distance, contact_stiffness, contact_viscosity, .. } = *options;
+    let ElasticRule { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
+    let ElasticRule { viscosity, wall_stiffness, rebound, .. } = *options;
+    let ElasticRule { clear_distance, most_stretch, .. } = *options;
     // NaN is in none of these ranges.
     let checks = [
         ("modulus", modulus, modulus > 0.0 && modulus.is_finite(), "a positive number"),
@@ -155,32 +147,21 @@ pub(super) fn check(
         ("wall_distance", wall_distance, (0.0..=16.0).contains(&wall_distance), "0 to 16"),
         ("wall_stiffness", wall_stiffness, (0.0..=4.0).contains(&wall_stiffness), "0 to 4"),
         ("rebound", rebound, (0.0..=1.0).contains(&rebound), "0 to 1"),
-        ("contact_distance", contact_distance, (0.0..=16.0).contains(&contact_distance), "0 to 16"),
-        (
-            "contact_stiffness",
-            contact_stiffness,
-            (0.0..=1.0).contains(&contact_stiffness),
-            "0 to 1",
-        ),
-        (
-            "contact_viscosity",
-            contact_viscosity,
-            (0.0..=4.0).contains(&contact_viscosity),
-            "0 to 4",
-        ),
+        ("clear_distance", clear_distance, (0.0..=64.0).contains(&clear_distance), "0 to 64"),
+        ("most_stretch", most_stretch, (1.0..=4.0).contains(&most_stretch), "1 to 4"),
     ];
     for (key, found, fits, expected) in checks {
         if !fits {
-            return Err(field(file, format!("elastic.{key}"), found.to_string(), expected));
+            return Err(field(file, format!("rules.elastic.{key}"), found.to_string(), expected));
         }
     }
-    if !(1..=ElasticOptions::MOST_STEPS).contains(&steps) {
-        return Err(field(file, "elastic.steps", steps.to_string(), "1 to 256"));
+    if !(1..=ElasticRule::MOST_STEPS).contains(&steps) {
+        return Err(field(file, "rules.elastic.steps", steps.to_string(), "1 to 256"));
     }
     if !is_conditioned && !options.is_stable(spacing, dt) {
         let expected =
             "at least one step in the time that a pressure wave takes to cross an element";
-        return Err(field(file, "elastic.steps", steps.to_string(), expected));
+        return Err(field(file, "rules.elastic.steps", steps.to_string(), expected));
     }
     Ok(())
 }

@@ -5,12 +5,15 @@ use std::{fmt, path::Path};
 
 use serde::{Deserialize, Serialize};
 
-use super::{Architecture, CheckpointError, description::field};
+use super::{Architecture, CheckpointError, ElasticRule, description::field, elastic};
 
 /// The rules that correct predictions, in the order in which they run. An absent rule is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rules {
+    /// Bodies of jelly that nothing else is close to move by their elasticity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub elastic: Option<ElasticRule>,
     /// Liquids keep their area.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub area: Option<AreaRule>,
@@ -98,6 +101,8 @@ pub struct RestRule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Rule {
+    /// Bodies of jelly that nothing else is close to move by their elasticity.
+    Elastic,
     /// Liquids keep their area.
     Area,
     /// Jelly and rope keep their shape.
@@ -110,11 +115,12 @@ pub enum Rule {
 
 impl Rule {
     /// All rules, in the order in which they run.
-    pub const ALL: [Self; 4] = [Self::Area, Self::Shape, Self::Flight, Self::Rest];
+    pub const ALL: [Self; 5] = [Self::Elastic, Self::Area, Self::Shape, Self::Flight, Self::Rest];
 
     /// Its key in `model.toml` and name on the command line.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Elastic => "elastic",
             Self::Area => "area",
             Self::Shape => "shape",
             Self::Flight => "flight",
@@ -130,8 +136,9 @@ impl fmt::Display for Rule {
 }
 
 impl Rules {
-    /// All rules, the default of new particle models.
+    /// The rules of new particle models, beside `elastic`, whose constants depend on the material.
     pub const STANDARD: Self = Self {
+        elastic: None,
         area: Some(AreaRule {
             cell_width: 2.0,
             fill_limit: 1.25,
@@ -171,6 +178,7 @@ impl Rules {
     /// Whether a rule is on.
     pub fn has(&self, rule: Rule) -> bool {
         match rule {
+            Rule::Elastic => self.elastic.is_some(),
             Rule::Area => self.area.is_some(),
             Rule::Shape => self.shape.is_some(),
             Rule::Flight => self.flight.is_some(),
@@ -189,6 +197,7 @@ impl Rules {
     /// Switches a rule off.
     pub fn remove(&mut self, rule: Rule) {
         match rule {
+            Rule::Elastic => self.elastic = None,
             Rule::Area => self.area = None,
             Rule::Shape => self.shape = None,
             Rule::Flight => self.flight = None,
@@ -197,8 +206,14 @@ impl Rules {
     }
 }
 
-/// Checks the constants.
-pub(super) fn check(file: &Path, rules: &Rules) -> Result<(), CheckpointError> {
+/// Checks the constants, for particles at a distance (domain lengths) and frames of `dt` seconds; those of a network that is conditioned on
+/// the stiffness fit every stream.
+pub(super) fn check(
+    file: &Path,
+    rules: &Rules,
+    (spacing, dt): (f32, f32),
+    is_conditioned: bool,
+) -> Result<(), CheckpointError> {
     let reject = |key: &str, found: String, expected: &str| {
         Err(field(file, format!("rules.{key}"), found, expected))
     };
@@ -213,6 +228,9 @@ pub(super) fn check(file: &Path, rules: &Rules) -> Result<(), CheckpointError> {
     // NaN is in none of these ranges.
     let positive = |x: f32| x > 0.0 && x.is_finite();
     let distance = |key: &str, x: f32| number(key, x, (0.0..=64.0).contains(&x), "0 to 64");
+    if let Some(rule) = &rules.elastic {
+        elastic::check(file, rule, (spacing, dt), is_conditioned)?;
+    }
     if let Some(area) = rules.area {
         let AreaRule { cell_width, fill_limit, surface_fill, relaxation, longest_shift, .. } = area;
         let fits = (0.5..=16.0).contains(&cell_width);

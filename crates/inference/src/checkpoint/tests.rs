@@ -26,7 +26,6 @@ fn checkpoint() -> Checkpoint {
         frame: FrameOptions::default(),
         grid: Some(GridOptions { cell_width: 0.25, channels: vec![2, 3, 2], spacing: 0.1 }),
         rules: Rules::STANDARD,
-        elastic: None,
         domain: Domain::UNIT,
         normalization: Normalization {
             minimum: [0.05, 0.05, -3.0, -3.0],
@@ -363,6 +362,7 @@ fn a_particle_model_of_version_1_has_all_rules() {
         rate: 1.0,
     };
     let rules = Rules {
+        elastic: None,
         area: Some(area),
         shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
         flight: Some(FlightRule { wall_distance: 1.5 }),
@@ -403,8 +403,9 @@ fn the_digest_changes_with_every_constant_of_a_rule() {
         change(&mut checkpoint.description.rules);
         checkpoint.digest()
     };
-    let changes: [fn(&mut Rules); 16] = [
+    let changes: [fn(&mut Rules); 17] = [
         |_| (),
+        |rules| rules.elastic = Some(ElasticRule { modulus: 300.0, ..ElasticRule::default() }),
         |rules| rules.area = None,
         |rules| rules.area.as_mut().unwrap().cell_width = 3.0,
         |rules| rules.area.as_mut().unwrap().fill_limit = 1.2,

@@ -3,7 +3,7 @@
 use std::{any::Any, fmt};
 
 use super::ModelError;
-use crate::kernels::{lattice::Lattice, rest_shape::RestShape};
+use crate::kernels::{lattice::Lattices, rest_shape::RestShape};
 use eddy_frames::{Domain, Frame, FrameView};
 
 /// A device that predicts streams with one network and corrects them by its rules. The hidden states stay on it.
@@ -34,8 +34,8 @@ pub struct StreamStart<'a> {
     pub domain: Domain,
     /// Particle model: the rest shape of jelly and rope, in the order of the particles. Empty in the frame model.
     pub rest: &'a RestShape,
-    /// Particle model: the lattices of jelly, in the order of the particles, if the network sees it after an elastic impulse; else empty.
-    pub lattice: &'a Lattice,
+    /// Particle model: the lattices of jelly, in the order of the particles, if the rule `elastic` is on; else empty.
+    pub lattices: &'a Lattices,
     /// Particle model: the feature of the stream's stiffness, if the network is conditioned on it.
     pub stiffness: Option<f32>,
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::{DeviceState, order::spatial_order, scales::stiffness_feature, stepper::Network};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
-    kernels::{lattice::Lattice, rest_shape::RestShape},
+    kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 use eddy_frames::Frame;
 
@@ -23,14 +23,14 @@ pub(super) fn rest(
     description: &Description,
     frame: &Frame,
     stiffness: Option<f32>,
-) -> (RestShape, Lattice) {
+) -> (RestShape, Lattices) {
     let Some(&GridOptions { spacing, .. }) = description.grid.as_ref() else {
         return Default::default();
     };
     let Frame { position, material, .. } = frame;
     let rest = RestShape::new(position, material, 1, spacing);
-    let lattice = description.lattice((&rest, 0..position.len()), position, material, stiffness);
-    (rest, lattice)
+    let lattices = description.lattices((&rest, 0..position.len()), position, material, stiffness);
+    (rest, lattices)
 }
 
 /// The hidden state of one stream.
@@ -46,8 +46,8 @@ pub struct HiddenState {
     pub(super) material: Vec<u8>,
     /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
     pub(super) rest: Arc<RestShape>,
-    /// The lattices of its jelly, if the network sees it after an elastic impulse; else empty.
-    pub(super) lattice: Arc<Lattice>,
+    /// The lattices of its jelly, if the rule `elastic` is on; else empty.
+    pub(super) lattices: Arc<Lattices>,
     /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
     /// The network with the weights for that stiffness, if those of the surrogate depend on it.
@@ -74,10 +74,10 @@ impl HiddenState {
         let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
         let mut order = Vec::new();
         // Built before reordering: the choice among equally distant neighbours must not depend on the order.
-        let (mut rest, mut lattice) = rest(description, frame, stiffness);
+        let (mut rest, mut lattices) = rest(description, frame, stiffness);
         if let Some(&GridOptions { cell_width, .. }) = description.grid.as_ref() {
             order = spatial_order(frame, cell_width);
-            (rest, lattice) = (rest.permuted(&order), lattice.permuted(&order));
+            (rest, lattices) = (rest.permuted(&order), lattices.permuted(&order));
             material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
         }
         let hidden = description.sizes.hidden;
@@ -91,7 +91,7 @@ impl HiddenState {
             order: Arc::new(order),
             material,
             rest: Arc::new(rest),
-            lattice: Arc::new(lattice),
+            lattices: Arc::new(lattices),
             stiffness: stiffness.map(stiffness_feature),
             network: None,
             hidden: vec![0.0; states],
@@ -108,7 +108,7 @@ impl HiddenState {
             order: Arc::default(),
             material,
             rest: Arc::default(),
-            lattice: Arc::default(),
+            lattices: Arc::default(),
             stiffness: None,
             network: None,
             hidden: Vec::new(),
@@ -142,7 +142,7 @@ impl Clone for HiddenState {
             order: Arc::clone(&self.order),
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
-            lattice: Arc::clone(&self.lattice),
+            lattices: Arc::clone(&self.lattices),
             stiffness: self.stiffness,
             network: self.network.clone(),
             hidden: self.hidden.clone(),
@@ -158,7 +158,7 @@ impl Clone for HiddenState {
             order,
             material,
             rest,
-            lattice,
+            lattices,
             stiffness,
             network,
             hidden,
@@ -170,7 +170,7 @@ impl Clone for HiddenState {
         *order = Arc::clone(&other.order);
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
-        *lattice = Arc::clone(&other.lattice);
+        *lattices = Arc::clone(&other.lattices);
         *stiffness = other.stiffness;
         network.clone_from(&other.network);
         hidden.clone_from(&other.hidden);
@@ -191,7 +191,7 @@ impl PartialEq for HiddenState {
             material,
             rest,
             // Determined by the rest shape.
-            lattice: _,
+            lattices: _,
             stiffness,
             // That of the stiffness.
             network: _,

@@ -8,8 +8,7 @@
 //! 4. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
 //! 5. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
 //!    (Table 1), whose outputs [`Decoded`] turns into states.
-//! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `elastic` gives jelly its impulse before,
-//!    `particle_features` and
+//! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes.
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
@@ -28,7 +27,6 @@ mod accelerator;
 mod ballistic;
 mod core;
 mod decoded;
-mod elastic;
 mod encoder;
 mod error;
 mod frame_model;

@@ -57,12 +57,6 @@ impl StepContext<'_> {
         for (place, motion) in motions.iter_mut().enumerate() {
             *motion = ballistic_motion(states, BLOCK, place);
         }
-        if !self.inputs.displacement.is_empty() {
-            for (&particle, (position, _)) in particles.iter().zip(&mut *motions) {
-                let [x, y] = self.inputs.displacement[particle as usize];
-                *position = [position[0] + x, position[1] + y];
-            }
-        }
         for (&particle, motion) in particles.iter().zip(&*motions) {
             let particle = particle as usize;
             // SAFETY: as above.

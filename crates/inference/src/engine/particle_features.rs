@@ -49,8 +49,6 @@ pub(super) struct Features {
 pub(super) struct ParticleInputs<'a> {
     pub(super) position: &'a [[f32; 2]],
     pub(super) velocity: &'a [[f32; 2]],
-    /// What an elastic impulse adds to each position after the ballistic step (domain lengths); empty without one.
-    pub(super) displacement: &'a [[f32; 2]],
     /// The ballistic step in the frame's domain.
     pub(super) ballistic: Ballistic,
     pub(super) material: &'a [u8],

@@ -12,7 +12,6 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
-    elastic,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::Linear,
@@ -63,7 +62,6 @@ pub(super) struct Scratch {
     grid: grid::Scratch,
     /// Positions and velocities in the order of the hidden state.
     state: [Vec<[f32; 2]>; 2],
-    elastic: elastic::Scratch,
     /// Input of the network, `[block, F, BLOCK]`.
     features: Vec<f32>,
     segments: Segments,
@@ -145,7 +143,6 @@ impl ParticleModel {
         Scratch {
             grid: grid::Scratch::default(),
             state: Default::default(),
-            elastic: elastic::Scratch::default(),
             features: Vec::new(),
             segments: Segments::default(),
             segment_sums: Vec::new(),
@@ -176,16 +173,15 @@ impl ParticleModel {
 
         let Scratch {
             grid,
-            state: [position, velocity],
-            elastic,
             features,
             segments,
             segment_sums,
             ballistic_motion,
             rules,
             buffers,
+            ..
         } = scratch;
-        let seen = elastic.apply(hidden_state, &ballistic, (position, velocity));
+        let Scratch { state: [position, velocity], .. } = scratch;
         let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
@@ -195,6 +191,7 @@ impl ParticleModel {
             ballistic,
             domain: frame.domain,
             rest: &hidden_state.rest,
+            lattices: &hidden_state.lattices,
             order: &hidden_state.order,
         };
         let predicted = Predicted {
@@ -207,8 +204,7 @@ impl ParticleModel {
             width: stride(self.hidden),
             inputs: ParticleInputs {
                 position,
-                velocity: seen.velocity,
-                displacement: seen.displacement,
+                velocity,
                 ballistic,
                 material: &hidden_state.material,
                 rest: &hidden_state.rest,

@@ -303,12 +303,12 @@ impl Surrogate {
         let hidden = match &**network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-                let (rest, lattice) = hidden_state::rest(&self.description, frame, stiffness);
+                let (rest, lattices) = hidden_state::rest(&self.description, frame, stiffness);
                 let state = device.start(&StreamStart {
                     material: &material,
                     domain: frame.domain,
                     rest: &rest,
-                    lattice: &lattice,
+                    lattices: &lattices,
                     stiffness: stiffness.map(stiffness_feature),
                 })?;
                 HiddenState::on_device(material, state)

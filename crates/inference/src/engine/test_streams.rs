@@ -8,8 +8,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Architecture, Checkpoint, Core, Description, Domain, ElasticOptions, Frame, GridOptions,
-    Material, Normalization, Sizes, Stamp, Surrogate, initial_weights,
+    Architecture, Checkpoint, Core, Description, Domain, ElasticRule, Frame, GridOptions, Material,
+    Normalization, Rules, Sizes, Stamp, Surrogate, initial_weights,
 };
 
 pub(super) const DT: f32 = 0.016;
@@ -67,18 +67,19 @@ pub(super) fn frames(count: u64, particles: usize, seed: u64) -> Vec<Frame> {
         .collect()
 }
 
-/// The described particle model, which sees jelly after its elastic impulse.
+/// The described particle model with the rule `elastic`.
 pub(super) fn elastic(description: &Description) -> Description {
     let spacing = description.grid.as_ref().unwrap().spacing;
     let elastic = match description.stiffness {
-        true => ElasticOptions::default(),
-        false => ElasticOptions::new(300.0, spacing, DT),
+        true => ElasticRule::default(),
+        false => ElasticRule::new(300.0, spacing, DT),
     };
-    Description { elastic: Some(elastic), ..description.clone() }
+    let rules = Rules { elastic: Some(elastic), ..description.rules };
+    Description { rules, ..description.clone() }
 }
 
-/// Three bodies of 14 x 9 particles: jelly that falls to the floor, jelly that touches it, turns, and is stretched more and more, and
-/// liquid.
+/// Four bodies of 14 x 9 particles: jelly that falls to the floor; jelly that touches it, turns, and is stretched more and more; liquid; and
+/// jelly that lies on it.
 pub(super) fn jelly(count: u32) -> Vec<Frame> {
     const SPACING: f32 = 0.02;
     let block = |corner: [f32; 2]| {
@@ -88,14 +89,14 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
         })
     };
     let rest: Vec<_> =
-        [[0.06, 0.1], [0.36, 0.12], [0.6, 0.6]].into_iter().flat_map(block).collect();
-    let kinds = [Material::Jelly, Material::Jelly, Material::Liquid];
+        [[0.06, 0.1], [0.56, 0.12], [0.1, 0.5], [0.1, 0.69]].into_iter().flat_map(block).collect();
+    let kinds = [Material::Jelly, Material::Jelly, Material::Liquid, Material::Jelly];
     let frame = |time: u32| {
         let (sin, cos) = (0.2 * time as f32).sin_cos();
         let stretch = 1.0 + 0.03 * time as f32;
         let turned = |[x, y]: [f32; 2]| {
-            let [x, y] = [stretch * (x - 0.49), y - 0.2];
-            [0.49 + cos * x - sin * y, 0.2 + sin * x + cos * y]
+            let [x, y] = [stretch * (x - 0.69), y - 0.2];
+            [0.69 + cos * x - sin * y, 0.2 + sin * x + cos * y]
         };
         let place = |(row, &x): (usize, &[f32; 2])| match row / 126 {
             0 => [x[0], x[1] - 0.01 * time as f32],

@@ -12,11 +12,11 @@ use super::{
 };
 use crate::{
     checkpoint::{
-        Architecture, Checkpoint, Core, Description, ElasticOptions, FrameOptions, GridOptions,
+        Architecture, Checkpoint, Core, Description, ElasticRule, FrameOptions, GridOptions,
         Normalization, Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
         tensors_of_knots,
     },
-    kernels::rest_shape::RestShape,
+    kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use streams::{
@@ -412,7 +412,7 @@ fn rules_in_the_engine_equal_a_corrector_after_it() {
         for ((before, mut found), expected) in
             frames.iter().zip(predict(&alone, &frames)).zip(&expected)
         {
-            corrector.correct(&rest, before, &mut found);
+            corrector.correct((&rest, &Lattices::default()), before, &mut found);
             assert!(largest_difference(&found.position, &expected.position) <= 1e-6);
             assert!(largest_difference(&found.velocity, &expected.velocity) <= 1e-6);
         }
@@ -538,7 +538,7 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
     let frame = &jelly(1)[0];
     let [soft, stiff] = [1e3, 1e5].map(|stiffness| {
         let hidden = surrogate.start_with_stiffness(frame, Some(stiffness)).unwrap();
-        let lattice = hidden.lattice;
+        let lattice = &hidden.lattices.bodies()[0];
         (lattice.elasticity().lame[0], lattice.elasticity().steps, lattice.inverse_mass().len())
     });
     assert!((soft.0 / 125.0 - 1.0).abs() < 1e-5, "300 / (2 (1 + .2))");
@@ -547,7 +547,7 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
 }
 
 #[test]
-fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_move_jelly_only() {
+fn elasticity_has_the_same_bits_with_any_number_of_threads_and_moves_jelly_only() {
     let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
     let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);
     let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };
@@ -558,7 +558,7 @@ fn elastic_impulses_have_the_same_bits_with_any_number_of_threads_and_move_jelly
     let found = with(&checkpoint, 1);
     assert_eq!(found, with(&checkpoint, 3));
     assert_ne!(found, with(&plain, 1));
-    // Without jelly, the table changes nothing.
+    // Without jelly, the rule changes nothing.
     let liquid = frames
         .iter()
         .cloned()

@@ -4,8 +4,7 @@
 //!
 //! 1. `device`: the compute devices.
 //! 2. `state`: particles, trajectories and hidden states as tensors. `dropout`.
-//! 3. `ballistic`: the motion of a particle that touches nothing, over tensors. `elastic`: the impulse
-//!    of jelly. `features`: the networks' inputs.
+//! 3. `ballistic`: the motion of a particle that touches nothing, over tensors. `features`: the networks' inputs.
 //! 4. `fused`: operations whose values and gradients are computed by [`kernels`](eddy_inference::kernels) instead of tensor
 //!    operations, where gradients are recorded on the CPU.
 //! 5. `grid_context`: the sparse grid of a batch. `sparse`: its layers in tensor operations.
@@ -27,7 +26,6 @@ pub mod reference;
 pub(crate) mod ballistic;
 pub(crate) mod core;
 pub(crate) mod dropout;
-pub(crate) mod elastic;
 pub(crate) mod features;
 pub(crate) mod frame_model;
 pub(crate) mod fused;

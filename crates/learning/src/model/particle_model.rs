@@ -6,14 +6,13 @@
 //! velocities in training: v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has its own residual because a
 //! frame spans many substeps: an early impulse moves a particle further than a late one. v' is clamped to the range in
 //! training extended by a quarter on each side, x' to the effective walls, so that rollouts stay finite. A zero decoder
-//! gives the ballistic step. With `[elastic]`, the network sees jelly after an elastic impulse: v and x' have it.
+//! gives the ballistic step.
 
 use burn::tensor::{Device, Tensor};
 
 use super::{
     ballistic::BallisticTensors,
     dropout::Dropout,
-    elastic::{Elastic, Seen},
     features::Scaling,
     fused, fused_layers,
     grid_context::GridContext,
@@ -35,7 +34,6 @@ pub(crate) struct ParticleModel {
     domain: Domain,
     scaling: Scaling,
     ballistic: BallisticTensors,
-    elastic: Option<Elastic>,
     /// The smallest and the largest velocities (domain lengths per second).
     limits: [[f32; 2]; 2],
 }
@@ -51,16 +49,7 @@ impl ParticleModel {
             domain: description.domain,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::new(description), device),
-            elastic: Elastic::new(description),
             limits: [slowest, fastest],
-        }
-    }
-
-    /// What the network sees of particles, `[T R, 2]`.
-    fn see(&self, state: ParticleState, fixed: &StaticInputs) -> Seen {
-        match &self.elastic {
-            Some(elastic) => elastic.apply(&state, fixed),
-            None => Seen { state, offset: None },
         }
     }
 
@@ -78,22 +67,19 @@ impl ParticleModel {
             position: flat(&trajectory.position),
             velocity: flat(&trajectory.velocity),
         };
-        let seen = self.see(state, fixed);
-        let state = &seen.state;
 
         // Each frame's velocities are compared with those expected one frame earlier, the first frame's with themselves.
-        let coming = self.expected_velocities(state); // [T R, 2]
-        let first = hidden.expected_velocity.clone();
-        let first = first.unwrap_or_else(|| state.velocity.clone().slice([0..rows, 0..2]));
+        let coming = self.expected_velocities(&state); // [T R, 2]
+        let first = hidden.expected_velocity.clone().unwrap_or_else(|| trajectory.at(0).velocity);
         let before = coming.clone().slice([0..(frames - 1) * rows, 0..2]);
         let expected = if frames == 1 { first } else { Tensor::cat(vec![first, before], 0) };
         let last = coming.slice([(frames - 1) * rows..frames * rows, 0..2]);
 
-        let input = self.encode(state, expected, fixed);
+        let input = self.encode(&state, expected, fixed);
         let [_, width] = input.dims();
         let signal = input.reshape([frames, rows, width]); // [T, R, H]
         let (signal, layers) = self.layers.observe_core(signal, &hidden.layers, dropout);
-        let next = self.decode(signal.reshape([frames * rows, width]), seen);
+        let next = self.decode(signal.reshape([frames * rows, width]), &state);
         let cube = |t: Tensor<2>| t.reshape([frames, rows, 2]);
         let predicted =
             TrajectoryBatch { position: cube(next.position), velocity: cube(next.velocity) };
@@ -108,13 +94,11 @@ impl ParticleModel {
         hidden: RecurrentState,
         dropout: &mut Dropout,
     ) -> (ParticleState, RecurrentState) {
-        let seen = self.see(state.clone(), fixed);
-        let state = &seen.state;
         let expected = hidden.expected_velocity.unwrap_or_else(|| state.velocity.clone());
         let signal = self.encode(state, expected, fixed); // [R, H]
         let (signal, layers) = self.layers.step_core(signal, &hidden.layers, dropout);
         let expected_velocity = Some(self.expected_velocities(state));
-        (self.decode(signal, seen), RecurrentState { layers, expected_velocity })
+        (self.decode(signal, state), RecurrentState { layers, expected_velocity })
     }
 
     /// The velocities that the ballistic step expects in the next frame, `[rows, 2]`.
@@ -169,15 +153,11 @@ impl ParticleModel {
     }
 
     /// The predicted state from the core's output, `[rows, H]`, and the current state.
-    fn decode(&self, signal: Tensor<2>, Seen { state, offset }: Seen) -> ParticleState {
+    fn decode(&self, signal: Tensor<2>, state: &ParticleState) -> ParticleState {
         let output = self.layers.decoder.forward(self.layers.mixer.rectified(signal)); // [rows, 4]
-        let output = match offset {
-            Some(offset) => output + offset,
-            None => output,
-        };
         let [rows, _] = output.dims();
         let halves = |t: Tensor<2>| [0, 2].map(|k| t.clone().slice([0..rows, k..k + 2]));
-        let ParticleState { position, velocity } = state;
+        let ParticleState { position, velocity } = state.clone();
         if self.fused() {
             let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
             let inputs = [position, velocity, output];

@@ -14,6 +14,7 @@ use eddy_frames::Frame;
 use eddy_inference::{
     checkpoint::{Checkpoint, CheckpointError, Description},
     engine::Corrector,
+    kernels::lattice::Lattices,
 };
 
 /// A checkpoint's network in burn.
@@ -29,6 +30,7 @@ pub struct Reference {
 pub struct HiddenState {
     recurrent: RecurrentState,
     fixed: StaticInputs,
+    lattices: Lattices,
 }
 
 impl Reference {
@@ -56,10 +58,13 @@ impl Reference {
             "a stiffness for a network that is conditioned on it"
         );
         let Frame { material, position, .. } = frame;
+        let grid = self.description.grid.as_ref();
         let device = self.device.device();
-        let stiffness = stiffness.as_ref().map(std::slice::from_ref);
-        let fixed = StaticInputs::new(&self.description, material, position, 1, stiffness, &device);
-        HiddenState { recurrent: RecurrentState::default(), fixed }
+        let each = stiffness.as_ref().map(std::slice::from_ref);
+        let fixed = StaticInputs::new(material, position, 1, each, grid, &device);
+        let rows = (&*fixed.rest, 0..position.len());
+        let lattices = self.description.lattices(rows, position, material, stiffness);
+        HiddenState { recurrent: RecurrentState::default(), fixed, lattices }
     }
 
     /// Observes a frame, true or predicted, of the particles that `hidden` was started for, and predicts the next one: its
@@ -86,7 +91,7 @@ impl Reference {
             velocity: pairs(next.velocity),
             material: frame.material.clone(),
         };
-        self.corrector.correct(&hidden.fixed.rest, frame, &mut next);
+        self.corrector.correct((&hidden.fixed.rest, &hidden.lattices), frame, &mut next);
         next
     }
 }

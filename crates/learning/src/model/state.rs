@@ -3,13 +3,10 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use rayon::prelude::*;
 
 use eddy_frames::Material;
 use eddy_inference::{
-    checkpoint::Description,
-    engine::scales::stiffness_feature,
-    kernels::{lattice::Lattice, rest_shape::RestShape},
+    checkpoint::GridOptions, engine::scales::stiffness_feature, kernels::rest_shape::RestShape,
 };
 
 /// Positions and velocities of particles at one instant, `[R, 2]` each (domain lengths and domain lengths per second).
@@ -37,35 +34,23 @@ pub(crate) struct StaticInputs {
     pub(crate) windows: usize,
     /// The rest shapes of solids.
     pub(crate) rest: Arc<RestShape>,
-    /// The lattices of each window's jelly, if the network sees it after an elastic impulse, `[B]`; else empty.
-    pub(crate) lattices: Arc<Vec<Lattice>>,
 }
 
 impl StaticInputs {
-    /// The inputs of B windows of the described network, from materials and rest positions, `[R]` each, and the stiffness of each window
-    /// for a network that is conditioned on it, `[B]` (density x velocity^2).
+    /// The inputs of B windows, from materials and rest positions, `[R]` each, and the stiffness of each window for a network that
+    /// is conditioned on it, `[B]` (density x velocity^2). The grid options are those of the particle model, which uses the spacing of
+    /// particles.
     pub(crate) fn new(
-        description: &Description,
         material: &[Material],
-        position: &[[f32; 2]],
+        rest: &[[f32; 2]],
         windows: usize,
         stiffness: Option<&[f32]>,
+        grid: Option<&GridOptions>,
         device: &Device,
     ) -> Self {
-        let spacing = description.grid.as_ref().map_or(0.0, |grid| grid.spacing);
-        let rest = RestShape::new(position, material, windows, spacing);
+        let spacing = grid.map_or(0.0, |grid| grid.spacing);
+        let rest = Arc::new(RestShape::new(rest, material, windows, spacing));
         let particles = material.len() / windows;
-        let mut lattices = Vec::new();
-        if description.elastic.is_some() {
-            let each = particles.max(1);
-            let rows = position.par_chunks(each).zip(material.par_chunks(each)).enumerate();
-            let lattice = |(window, (position, material))| {
-                let rows = window * each..(window + 1) * each;
-                let stiffness = stiffness.map(|all| all[window]);
-                description.lattice((&rest, rows), position, material, stiffness)
-            };
-            lattices = rows.map(lattice).collect();
-        }
         let constants: Vec<f32> = material
             .iter()
             .enumerate()
@@ -78,13 +63,7 @@ impl StaticInputs {
         let width = Material::COUNT + usize::from(stiffness.is_some());
         let data = TensorData::new(constants.clone(), [material.len(), width]);
         let tensor = Tensor::from_data(data, device);
-        Self {
-            constants: tensor,
-            constant_list: Arc::new(constants),
-            windows,
-            rest: Arc::new(rest),
-            lattices: Arc::new(lattices),
-        }
+        Self { constants: tensor, constant_list: Arc::new(constants), windows, rest }
     }
 
     /// N.

@@ -90,7 +90,8 @@ fn fixed(description: &Description, starts: &[Frame], device: &Device) -> Static
     let rest: Vec<_> = starts.iter().flat_map(|frame| frame.position.clone()).collect();
     let stiffness: Vec<_> = (1..=starts.len()).map(|number| 3e3 * number as f32).collect();
     let stiffness = description.stiffness.then_some(&stiffness[..]);
-    StaticInputs::new(description, &material, &rest, starts.len(), stiffness, device)
+    let grid = description.grid.as_ref();
+    StaticInputs::new(&material, &rest, starts.len(), stiffness, grid, device)
 }
 
 fn trajectory(frames: &[Frame], device: &Device) -> TrajectoryBatch {

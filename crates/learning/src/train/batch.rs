@@ -63,11 +63,11 @@ impl Batch {
         };
         Self {
             fixed: StaticInputs::new(
-                description,
                 &material,
                 &rest,
                 windows.len(),
                 stiffness.as_deref(),
+                description.grid.as_ref(),
                 device,
             ),
             observed: trajectory(0..warm_up),

@@ -4,9 +4,8 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::TrainError;
 use eddy_inference::checkpoint::{
-    Activation, Architecture, Core, ElasticOptions, FeatureScaling, Form, FrameOptions,
-    FrameOutput, GridOptions, MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat,
-    valid_knots,
+    Activation, Architecture, Core, ElasticRule, FeatureScaling, Form, FrameOptions, FrameOutput,
+    GridOptions, MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat, valid_knots,
 };
 
 /// Width of layers up to which Muon runs on every supported GPU.
@@ -31,6 +30,10 @@ pub struct TrainConfig {
     pub patience: u32,
     /// Gravity in the data (domain lengths per second squared). Bags do not contain it.
     pub gravity: [f32; 2],
+    /// Particle model: Young's modulus of jelly (density x velocity^2) for the rule `elastic`, .3 E of the scenes, 300 where E = 1e3; for a
+    /// network that is conditioned on the stiffness, relative to a stream's, .3; 0: without the rule.
+    #[serde(default)]
+    pub elastic_modulus: f32,
     /// Number of freely predicted frames per window, by stages of the run: later stages unroll further.
     pub unroll: Vec<UnrollStage>,
     /// Free frames after which gradients through time are cut (truncated backpropagation through time), so that training on long
@@ -89,10 +92,6 @@ pub struct NetworkConfig {
     /// their own; a stream's are interpolated in the logarithm of its stiffness. Each batch is of about one stiffness then.
     #[serde(default)]
     pub stiffness_knots: Vec<f32>,
-    /// Particle model: Young's modulus of jelly (density x velocity^2), 300 in scenes of E = 1e3, to compute jelly's own elastic impulse, after
-    /// which the network sees it; for a network that is conditioned on the stiffness, relative to a stream's, .3 in all scenes; 0: none.
-    #[serde(default)]
-    pub elastic_modulus: f32,
     /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
     #[serde(default)]
     pub weights: WeightFormat,
@@ -292,13 +291,13 @@ impl TrainConfig {
         })
     }
 
-    /// The particle model's elastic impulse of jelly, for particles with this spacing (domain lengths) and frames of `dt` seconds.
-    pub(super) fn elastic(&self, spacing: f32, dt: f32) -> Option<ElasticOptions> {
-        let modulus = self.network.elastic_modulus;
+    /// The constants of the rule `elastic`, if it is on, for particles with this spacing (domain lengths) and frames of `dt` seconds.
+    pub(super) fn elastic(&self, spacing: f32, dt: f32) -> Option<ElasticRule> {
+        let modulus = self.elastic_modulus;
         // Each stream has its own where the network is conditioned on the stiffness.
         (modulus > 0.0).then(|| match self.network.stiffness {
-            true => ElasticOptions { modulus, ..ElasticOptions::default() },
-            false => ElasticOptions::new(modulus, spacing, dt),
+            true => ElasticRule { modulus, ..ElasticRule::default() },
+            false => ElasticRule::new(modulus, spacing, dt),
         })
     }
 
@@ -357,12 +356,12 @@ impl TrainConfig {
         require("network.stiffness_knots", format!("{knots:?}"), valid, VALID_KNOTS)?;
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
-        let modulus = self.network.elastic_modulus;
+        let modulus = self.elastic_modulus;
         let particle = self.architecture == Architecture::Particle;
         let most = if self.network.stiffness { 10.0 } else { f32::MAX };
         let valid = modulus == 0.0 || (modulus > 0.0 && modulus <= most && particle);
         let expected = "0 or more; at most 10, relative to a stream's stiffness, with network.stiffness; 0 for the frame model";
-        require("network.elastic_modulus", modulus, valid, expected)?;
+        require("elastic_modulus", modulus, valid, expected)?;
         let valid = form == Form::Plain || matches!(self.core, Core::MinGru | Core::MinLstm);
         require("network.form", "log", valid, "plain: only minGRU and minLSTM have both")?;
         let valid = self.network.normalize_gates || self.core == Core::MinLstm;

@@ -33,7 +33,6 @@ use eddy_inference::{
         tensors_of_knots,
     },
     engine::{Ballistic, Surrogate},
-    kernels::rest_shape::RestShape,
 };
 
 /// Distance between particles at rest (domain lengths).
@@ -119,7 +118,6 @@ pub(super) fn description(config: &TrainConfig) -> Description {
     description.normalize_gates = config.network.normalize_gates;
     description.stiffness = config.network.stiffness;
     description.stiffness_knots = config.network.stiffness_knots.clone();
-    description.elastic = config.elastic(SPACING, description.dt);
     description.gravity = config.gravity;
     description.warm_up = config.windows.warm_up as u32;
     description
@@ -158,7 +156,7 @@ fn training_on(
     streams: &[Trajectory],
 ) -> Training {
     let device: Arc<dyn Device> = Arc::new(device);
-    let store = cuda::particle_store(&*device, description, streams).unwrap();
+    let store = cuda::particle_store(&*device, streams, SPACING).unwrap();
     let settings = cuda::settings(config, config.unroll[0].frames, device.rank().count);
     let training = Training::new(device, Arc::new(store), description, &settings).unwrap();
     training.set_weights(&weights(description, SEED)).unwrap();
@@ -289,28 +287,6 @@ fn a_network_conditioned_on_the_stiffness_of_each_stream_takes_the_steps_of_the_
     let mut config = config(Core::MinGru);
     config.network.stiffness = true;
     compare(&config, &streams());
-}
-
-/// Jelly that the floor pushes.
-#[test]
-fn a_network_that_sees_jelly_after_its_elastic_impulse_takes_the_steps_of_the_cpu() {
-    let mut config = config(Core::MinGru);
-    config.network.elastic_modulus = 300.0;
-    config.loss.error_floor = 0.03;
-    let streams = streams_of([[9, 3], [3, 4]]);
-    let Trajectory { ref rest, ref material, .. } = streams[0];
-    let description = description(&config);
-    let shape = RestShape::new(rest, material, 1, SPACING);
-    let lattice = description.lattice((&shape, 0..rest.len()), rest, material, None);
-    assert_eq!(lattice.rows().len(), 81, "particles of the jelly");
-    let lowest = rest.iter().fold(f32::MAX, |low, [_, y]| low.min(*y));
-    let wall = Ballistic::new(&description).lower[1];
-    assert!(lowest < wall + lattice.elasticity().wall_distance);
-    compare(&config, &streams);
-
-    // Of the jelly's stream, 1e3: wider elements and more steps.
-    (config.network.stiffness, config.network.elastic_modulus) = (true, 3.0);
-    compare(&config, &streams);
 }
 
 #[test]

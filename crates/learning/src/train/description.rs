@@ -6,7 +6,7 @@ use super::{TrainConfig, TrainError, config::setting, record::different_setting}
 use eddy_evaluation::{LinearFit, dataset::Dataset};
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Checkpoint, Description, ElasticOptions, FORMAT_VERSION, Rules, TrainingSummary,
+    Architecture, Checkpoint, Description, ElasticRule, FORMAT_VERSION, Rules, TrainingSummary,
     WeightFormat,
 };
 
@@ -35,11 +35,10 @@ pub(super) fn describe(
     let materials: BTreeSet<Material> =
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
     let elastic = config.elastic(dataset.spacing, first.dt);
-    let is_unstable = |elastic: &ElasticOptions| !elastic.is_stable(dataset.spacing, first.dt);
+    let is_unstable = |rule: &ElasticRule| !rule.is_stable(dataset.spacing, first.dt);
     if !config.network.stiffness && elastic.as_ref().is_some_and(is_unstable) {
-        let modulus = config.network.elastic_modulus;
         let expected = "a modulus whose pressure waves cross at most 256 elements a frame";
-        return Err(setting("network.elastic_modulus", modulus, expected));
+        return Err(setting("elastic_modulus", config.elastic_modulus, expected));
     }
     Ok(Description {
         format_version: FORMAT_VERSION,
@@ -59,8 +58,7 @@ pub(super) fn describe(
         sizes: config.sizes(particles),
         frame: config.network.frame,
         grid: config.grid(dataset.spacing),
-        rules: Rules::standard(config.architecture),
-        elastic,
+        rules: Rules { elastic, ..Rules::standard(config.architecture) },
         domain: first.domain,
         normalization: dataset.normalization.clone(),
         training: TrainingSummary {
@@ -122,9 +120,8 @@ pub(super) fn start_from(
     }
     description.training.start = Some(digest);
     description.normalization = start.normalization.clone();
-    description.rules = start.rules;
-    // The first training with the impulse may start from a network without it.
-    description.elastic = start.elastic.or(description.elastic);
+    let own = start.rules.elastic.filter(|rule| rule.modulus == config.elastic_modulus);
+    description.rules = Rules { elastic: own.or(description.rules.elastic), ..start.rules };
     let materials = description.materials.iter().chain(&start.materials).copied();
     description.materials = materials.collect::<BTreeSet<_>>().into_iter().collect();
     let seen = description.training.seen.iter().chain(start.training.seen.iter());

@@ -72,6 +72,7 @@ impl TrainConfig {
             epochs: 40,
             patience: 40,
             gravity: [0.0, -9.8],
+            elastic_modulus: 0.0,
             unroll: vec![stage(0.4, 2), stage(0.3, 6), stage(0.25, 14), stage(0.05, 24)],
             truncation: 0,
             network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(16, 24) },
@@ -154,6 +155,7 @@ impl TrainConfig {
             epochs: 8,
             patience: 8,
             gravity: [0.0, -9.8],
+            elastic_modulus: 0.0,
             unroll: vec![stage(0.25, 1), stage(0.15, 5), stage(0.6, 20)],
             truncation: 0,
             network,
@@ -206,6 +208,7 @@ impl TrainConfig {
         (self.architecture, self.core) = (network.architecture, network.core);
         self.network = self.network.with_layers_of(network);
         self.gravity = network.gravity;
+        self.elastic_modulus = network.rules.elastic.map_or(0.0, |rule| rule.modulus);
         self.windows.warm_up = network.warm_up as usize;
         self.optimizer.learning_rate *= STARTED_RATE;
         self
@@ -232,10 +235,6 @@ impl NetworkConfig {
                 [] => self.stiffness_knots.clone(),
                 knots => knots.to_vec(),
             },
-            elastic_modulus: match network.elastic {
-                None => self.elastic_modulus,
-                Some(elastic) => elastic.modulus,
-            },
             weights: self.weights,
         }
     }
@@ -254,7 +253,6 @@ impl NetworkConfig {
             channels: vec![24, 32, 48, 64],
             stiffness: false,
             stiffness_knots: Vec::new(),
-            elastic_modulus: 0.0,
             weights: WeightFormat::default(),
         }
     }

@@ -11,9 +11,9 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
   if (p >= n) return;
   const Window& window = window_of(s, b);
   const size_t at = particle_row(s, sheet, p);
-  const Body body = seen_body(s, at, s.states[at]);
+  const Body body = s.states[at];
   float* output = s.output + at * OUT4;
-  const Body next = unlimited(s, at, output), found = limited_body(s, next);
+  const Body next = unlimited(s, body, output), found = limited_body(s, next);
   const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
   const bool free = t + 1 >= s.warm_up, goes_on = free && t + 1 < frames_of(s);
   const float scale = 2.0f * s.scales[(free ? 0 : s.batch) + b];
@@ -206,7 +206,7 @@ __device__ __forceinline__ float node_slope(const Stencil& own, int node, int ax
 // by the velocity that was expected goes to lists.
 __device__ __forceinline__ Body features_gradient(const Plan& s, int sheet, int b, u32 p, const float* by) {
   const Body* bodies = s.states + particle_row(s, sheet, 0);
-  const Body body = seen_body(s, particle_row(s, sheet, p), bodies[p]);
+  const Body body = bodies[p];
   const float unit = 1.0f / s.unit;
   Body found;
 #pragma unroll

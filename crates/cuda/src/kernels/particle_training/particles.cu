@@ -35,11 +35,10 @@ __device__ __forceinline__ const u32* first_of(const Plan& s, const u32* first, 
 #define SHAPE_FROM (7 * DIM)
 __device__ __forceinline__ void features_of(const Plan& s, int sheet, int b, u32 p, float* own) {
   const Body* bodies = s.states + particle_row(s, sheet, 0);
-  const Body body = seen_body(s, particle_row(s, sheet, p), bodies[p]);
+  const Body body = bodies[p];
 #pragma unroll
   for (int a = 0; a < DIM; a++) {
-    const size_t before = particle_row(s, sheet - s.batch, p);
-    const float expected = sheet < s.batch ? body.v[a] : ballistic(s, seen_body(s, before, s.states[before]), a).v;
+    const float expected = sheet < s.batch ? body.v[a] : ballistic(s, s.states[particle_row(s, sheet - s.batch, p)], a).v;
     const Fall fall = ballistic(s, body, a);
     own[a] = body.v[a] / s.unit;
     own[DIM + a] = (body.v[a] - expected) / s.unit;
@@ -214,15 +213,14 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const P
   }
 }
 
-// The predicted state of the particle in a row from its own and the decoder's output, before it is limited.
-__device__ __forceinline__ Body unlimited(const Plan& s, size_t row, const float* output) {
-  const Body body = seen_body(s, row, s.states[row]);
+// The predicted state of a particle from its own and the decoder's output, before it is limited.
+__device__ __forceinline__ Body unlimited(const Plan& s, const Body& body, const float* output) {
   Body next;
 #pragma unroll
   for (int a = 0; a < DIM; a++) {
     const Fall fall = ballistic(s, body, a);
     next.v[a] = fmaf(s.unit, output[a], fall.v);
-    next.x[a] = fmaf(multiply_rounded(s.unit, s.dt), output[DIM + a], fall.x + elastic_displacement(s, row, a));
+    next.x[a] = fmaf(multiply_rounded(s.unit, s.dt), output[DIM + a], fall.x);
   }
   return next;
 }
@@ -261,7 +259,7 @@ extern "C" __global__ void __launch_bounds__(256) train_advance(const Plan* __re
   if (p < n) {
     const Window& window = window_of(s, b);
     const size_t at = particle_row(s, sheet, p);
-    const Body found = limited_body(s, unlimited(s, at, s.output + at * OUT4));
+    const Body found = limited_body(s, unlimited(s, s.states[at], s.output + at * OUT4));
     if (t + 1 >= s.warm_up && t + 1 < frames_of(s)) s.states[at + (size_t)s.batch * s.most] = found;
     const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
 #pragma unroll

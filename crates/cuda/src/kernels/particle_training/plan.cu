@@ -39,7 +39,6 @@ struct Plan {
   const Body* error_weights; // [unroll, B, MATERIALS]
   // Kept of each frame.
   Body* states;
-  Body* impulses;            // elastic ones: displacements and changes of velocities; null where there are none
   u32* starts;               // [T, B, cells + 1] first slot of each cell
   u32* order;                // particle of each slot: by cells, then by number
   float* weights;            // weights of the particle in a slot, 3 for each axis
@@ -70,8 +69,6 @@ struct Plan {
   u32* arrivals;             // place among the particles of the cell, in any order
   u32* unsorted;             // particles by cells, in any order within a cell
   float* by_inputs;          // [.., CONCAT]
-  Body* lattice_nodes;       // [.., 2, most_lattice_nodes]
-  float* lattice_forces;     // [.., most_lattice_forces]
   // Gradients that go from a frame to the one before.
   Body* by_state;            // [B, most]
   float* by_output;          // [LAYERS, B, most, H4] by the core's outputs
@@ -92,7 +89,6 @@ struct Plan {
   float unit;                // of velocities
   float slowest[DIM], fastest[DIM];
   float sides, even;         // left plus right wall; weight of observed frames
-  u32 most_lattice_nodes, most_lattice_forces;
 };
 
 __device__ __forceinline__ const Window& window_of(const Plan& s, int b) { return s.windows[(size_t)s.progress->step * s.batch + b]; }

@@ -37,7 +37,6 @@ impl Training {
         let (sheet, sheets) = (first * batch, frames * batch);
         let (plan, most) = (self.plan(), self.store.most());
         let c0 = self.constants.network.channels[0];
-        self.impulses(sheet, sheets)?;
         let cells = Shape::new(1, sheets, CELL_THREADS);
         self.launch(Kernel::TrainCells, cells, &[plan, sheet.into()])?;
         let [encoder, second] = &self.layout.encoder;

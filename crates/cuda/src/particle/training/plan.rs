@@ -43,7 +43,6 @@ pub(super) struct Plan {
     progress: u64,
     error_weights: u64,
     states: u64,
-    impulses: u64,
     starts: u64,
     order: u64,
     weights: u64,
@@ -72,8 +71,6 @@ pub(super) struct Plan {
     arrivals: u64,
     unsorted: u64,
     by_inputs: u64,
-    lattice_nodes: u64,
-    lattice_forces: u64,
     by_state: u64,
     by_output: u64,
     by_cell: u64,
@@ -99,7 +96,6 @@ pub(super) struct Plan {
     speeds: [[f32; AXES]; 2],
     sides: f32,
     even: f32,
-    most_lattice: [u32; 2],
 }
 
 impl Plan {
@@ -115,7 +111,7 @@ impl Plan {
 }
 
 const _: () = assert!(
-    size_of::<Plan>() == 8 * (44 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (28 + 2 * MAX_LEVELS)
+    size_of::<Plan>() == 8 * (41 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
 );
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Plan {}
@@ -217,9 +213,6 @@ impl Memory {
             links.map_or(Address::NULL.0, |links| at(pick(links)))
         };
         let states = network.layers * (rows + carried_rows) * units;
-        let lattices = store.lattices.as_ref().filter(|_| description.elastic.is_some());
-        let most_lattice = lattices.map_or([0; 2], |lattices| lattices.most);
-        let [lattice_nodes, lattice_forces] = most_lattice;
         let plan = Plan {
             store: at(&store.bodies),
             counts: at(&store.counts),
@@ -233,10 +226,6 @@ impl Memory {
             progress: at(&tables.progress),
             error_weights: at(&tables.error_weights),
             states: lists.next(rows * BODY)?,
-            impulses: match lattices {
-                Some(_) => lists.next(rows * BODY)?,
-                None => Address::NULL.0,
-            },
             starts: lists.next(sheets * (entries[0] + 1))?,
             order: lists.next(rows)?,
             weights: lists.next(rows * 3 * AXES)?,
@@ -265,8 +254,6 @@ impl Memory {
             arrivals: lists.next(together * most)?,
             unsorted: lists.next(together * most)?,
             by_inputs: lists.next(together * most * network.context_rows())?,
-            lattice_nodes: lists.next(together * 2 * lattice_nodes * BODY)?,
-            lattice_forces: lists.next(together * lattice_forces)?,
             by_state: at(&carried[3]),
             by_output: at(&carried[0]),
             by_cell: at(&carried[1]),
@@ -292,7 +279,6 @@ impl Memory {
             speeds: [slowest, fastest],
             sides: description.domain.lower[0] + description.domain.upper[0],
             even: if warm_up > 1 { unroll as f32 / (warm_up - 1) as f32 } else { 0.0 },
-            most_lattice: most_lattice.map(|most| most as u32),
         };
         let device_plan = device.allocate(size_of::<Plan>())?;
         device.write(&device_plan, 0, bytemuck::bytes_of(&plan))?;

@@ -1,11 +1,7 @@
 //! Trajectories of any numbers of particles, with the rest shapes of their solids, in the memory of a device.
 
-use eddy_inference::kernels::{
-    lattice::Lattice,
-    rest_shape::{Link, RestShape},
-};
+use eddy_inference::kernels::rest_shape::{Link, RestShape};
 
-use super::elastic;
 use crate::{
     device::{Buffer, Device},
     error::Result,
@@ -29,8 +25,6 @@ pub struct Store {
     pub(super) stiffness: Buffer,
     /// Where no particle of any stream has a rest shape, there are no links.
     pub(super) links: Option<Links>,
-    /// The lattices of jelly, if there are any.
-    pub(super) lattices: Option<elastic::DeviceLattices>,
     /// First body of each stream, and the end of the last one.
     first: Vec<u64>,
     particles: Vec<usize>,
@@ -85,7 +79,6 @@ pub struct StoreWriter<'a> {
     stiffness: Vec<f32>,
     own: Lists,
     incoming: Lists,
-    lattices: elastic::Lattices,
     first: Vec<u64>,
     /// Bodies written so far.
     written: u64,
@@ -127,7 +120,6 @@ impl<'a> StoreWriter<'a> {
             stiffness: Vec::new(),
             own: Lists::default(),
             incoming: Lists::default(),
-            lattices: elastic::Lattices::default(),
             first: Vec::new(),
             written: 0,
         })
@@ -156,14 +148,6 @@ impl<'a> StoreWriter<'a> {
             self.own.add((0..rest.len()).map(|particle| rest.links(particle)), self.most);
             self.incoming.add(back.iter().map(Vec::as_slice), self.most);
         }
-    }
-
-    /// Adds the lattices of the last stream's jelly, as they are and mirrored.
-    ///
-    /// # Errors
-    /// [`CudaError::Unsupported`](crate::CudaError::Unsupported) with a body that is too large.
-    pub fn lattices(&mut self, lattices: [&Lattice; 2]) -> Result<()> {
-        self.lattices.add(self.particles.len() - 1, lattices)
     }
 
     /// Adds a frame of x, y, vx, vy to the last stream.
@@ -205,7 +189,6 @@ impl<'a> StoreWriter<'a> {
             material: keep(&self.materials)?,
             stiffness: keep(bytemuck::cast_slice(&self.stiffness))?,
             links,
-            lattices: self.lattices.finish(self.particles.len(), keep)?,
             bodies: self.bodies,
             first: self.first,
             particles: self.particles,

@@ -4,6 +4,7 @@ use super::{super::Ballistic, Observed, Predicted, RuleSet, Stage};
 use crate::{
     checkpoint::{Description, GridOptions},
     kernels::{
+        lattice::Lattices,
         nodes::{MIN_LEVELS, Nodes, Window},
         rest_shape::RestShape,
     },
@@ -38,11 +39,16 @@ impl Corrector {
     }
 
     /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is their rest
-    /// shape.
+    /// shape, `lattices` those of its bodies of jelly.
     ///
     /// # Panics
     /// If the three differ in the number of particles.
-    pub fn correct(&self, rest: &RestShape, before: &Frame, predicted: &mut Frame) {
+    pub fn correct(
+        &self,
+        (rest, lattices): (&RestShape, &Lattices),
+        before: &Frame,
+        predicted: &mut Frame,
+    ) {
         if self.stages.is_empty() {
             return;
         }
@@ -61,6 +67,7 @@ impl Corrector {
             ballistic: self.ballistic.for_domain(&self.domain, &before.domain),
             domain: before.domain,
             rest,
+            lattices,
             order: &order,
         };
         let predicted = Predicted {

@@ -5,11 +5,12 @@
 //! materials, rest shape, order of the particles, domain. It does not depend on the predictor. Its constants are part of the
 //! checkpoint ([`checkpoint::Rules`](crate::checkpoint::Rules)); a rule without constants is off. In order:
 //!
-//! 1. `area`: liquids keep their area.
-//! 2. `shape`: jelly and rope keep their shape.
-//! 3. `bodies`: connected groups of particles; `body_rule`: the steps that the last two rules share.
-//! 4. `flight`: bodies that touch nothing keep their momentum and angular momentum.
-//! 5. `rest`: bodies that touch a wall and hardly move come to rest.
+//! 1. `elastic`: bodies of jelly that nothing else is close to move by their elasticity.
+//! 2. `area`: liquids keep their area.
+//! 3. `shape`: jelly and rope keep their shape.
+//! 4. `bodies`: connected groups of particles; `body_rule`: the steps that the last two rules share.
+//! 5. `flight`: bodies that touch nothing keep their momentum and angular momentum.
+//! 6. `rest`: bodies that touch a wall and hardly move come to rest.
 //!
 //! [`RuleSet::stages`] lists their steps. The particle model runs them after its own stages, on all threads;
 //! [`Corrector`] runs them after any other predictor.
@@ -19,6 +20,7 @@ mod area;
 mod bodies;
 mod body_rule;
 mod corrector;
+mod elastic;
 mod flight;
 mod rest;
 mod shape;
@@ -26,7 +28,7 @@ mod shape;
 use super::{Ballistic, particle_features::Motion};
 use crate::{
     checkpoint::{self, Description, FlightRule, RestRule},
-    kernels::{nodes::Nodes, rest_shape::RestShape},
+    kernels::{lattice::Lattices, nodes::Nodes, rest_shape::RestShape},
 };
 pub use corrector::Corrector;
 use eddy_frames::{Domain, Material};
@@ -35,11 +37,14 @@ use eddy_threads::DisjointSlice;
 use area::Pressure;
 use bodies::Bodies;
 use body_rule::BodyCorrection;
+use elastic::Elastic;
 use shape::Shape;
 
 /// A step of a rule.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Stage {
+    /// The rule [`elastic`]; an item is a body.
+    Elastic,
     /// A step of [`area`].
     Area(area::Step),
     /// A step of [`shape`].
@@ -71,6 +76,8 @@ pub(super) struct Observed<'a> {
     pub(super) domain: Domain,
     /// The rest shape, by rows.
     pub(super) rest: &'a RestShape,
+    /// The lattices of bodies of jelly, by rows.
+    pub(super) lattices: &'a Lattices,
     /// The frame's particle in each row.
     pub(super) order: &'a [u32],
 }
@@ -111,6 +118,7 @@ impl Predicted<'_> {
 /// Scratch buffers of the rules.
 #[derive(Debug)]
 pub(super) struct Scratch {
+    elastic: elastic::Scratch,
     pressure: Option<Pressure>,
     shape: shape::Scratch,
     bodies: Bodies,
@@ -122,6 +130,7 @@ pub(super) struct Scratch {
 pub(super) struct Correction<'a> {
     observed: Observed<'a>,
     predicted: Predicted<'a>,
+    elastic: Elastic<'a>,
     pressure: DisjointSlice<'a, Option<Pressure>>,
     shape: Option<Shape<'a>>,
     bodies: DisjointSlice<'a, Bodies>,
@@ -138,8 +147,11 @@ impl RuleSet {
 
     /// The steps of the rules that are on, in order.
     pub(super) fn stages(&self) -> Vec<Stage> {
-        let checkpoint::Rules { area, shape, flight, rest } = self.rules;
+        let checkpoint::Rules { elastic, area, shape, flight, rest } = self.rules;
         let mut stages = Vec::new();
+        if elastic.is_some() {
+            stages.push(Stage::Elastic);
+        }
         if area.is_some() {
             stages.extend(area::STEPS.map(Stage::Area));
         }
@@ -160,6 +172,7 @@ impl RuleSet {
 
     pub(super) fn scratch(&self) -> Scratch {
         Scratch {
+            elastic: elastic::Scratch::default(),
             pressure: self.rules.area.map(|rule| Pressure::new(rule, self.spacing)),
             shape: shape::Scratch::default(),
             bodies: Bodies::default(),
@@ -175,7 +188,7 @@ impl RuleSet {
         observed: Observed<'a>,
         predicted: Predicted<'a>,
     ) -> Correction<'a> {
-        let Scratch { pressure, shape, bodies, flight, rest } = scratch;
+        let Scratch { elastic, pressure, shape, bodies, flight, rest } = scratch;
         let rules = self.rules;
         let (nodes, particles) = (observed.nodes, observed.order.len());
         if rules.flight.is_some() || rules.rest.is_some() {
@@ -183,6 +196,7 @@ impl RuleSet {
         }
         let (at_rest, order) = (observed.rest, observed.order);
         Correction {
+            elastic: Elastic::new(observed.lattices, elastic),
             pressure: DisjointSlice::new(std::slice::from_mut(pressure)),
             shape: rules.shape.map(|rule| shape.shape(rule, at_rest, order)),
             bodies: DisjointSlice::new(std::slice::from_mut(bodies)),
@@ -198,6 +212,7 @@ impl Correction<'_> {
     /// Number of items of a stage.
     pub(super) fn items(&self, stage: Stage) -> usize {
         match stage {
+            Stage::Elastic => self.elastic.items(),
             Stage::Area(area::Step::Shift) => {
                 self.predicted.position.len().div_ceil(area::PARTICLES)
             }
@@ -211,8 +226,9 @@ impl Correction<'_> {
     /// stage.
     #[inline(always)]
     pub(super) fn run(&self, stage: Stage, item: usize) {
-        let Self { observed, predicted, shape, flight, rest, .. } = self;
+        let Self { observed, predicted, elastic, shape, flight, rest, .. } = self;
         match stage {
+            Stage::Elastic => elastic.run(item, observed, predicted),
             Stage::Area(step) => self.area(step, item),
             Stage::Shape(step) => {
                 let Some(shape) = shape else { return };

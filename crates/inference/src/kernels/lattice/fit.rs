@@ -1,7 +1,5 @@
 //! The least-squares fit of a body's nodes to its particles.
 
-use std::ops::Range;
-
 use super::{Node, Share};
 
 /// Smallest pivot of the normal equations, relative to the diagonal: what particles do not determine stays small.
@@ -10,9 +8,7 @@ const SMALLEST_PIVOT: f64 = 1e-6;
 /// The normal equations of the least-squares fit of a body's nodes to its particles, as their Cholesky factor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Band {
-    /// The body's first node.
-    first: u32,
-    /// Number of its nodes, n.
+    /// Number of nodes, n.
     count: usize,
     /// Numbers before the diagonal that may differ from zero, k.
     width: usize,
@@ -21,9 +17,9 @@ pub struct Band {
 }
 
 impl Band {
-    /// Of a body's `count` nodes from `first` on, whose particles have these shape functions.
-    pub(super) fn new(first: u32, count: usize, corners: &[[Share; 4]]) -> Self {
-        let local = |share: &Share| (share.index - first) as usize;
+    /// Of a body's `count` nodes, whose particles have these shape functions.
+    pub(super) fn new(count: usize, corners: &[[Share; 4]]) -> Self {
+        let local = |share: &Share| share.index as usize;
         let pairs = || {
             corners.iter().flat_map(|corners| {
                 corners.iter().flat_map(move |a| corners.iter().map(move |b| (a, b)))
@@ -51,12 +47,7 @@ impl Band {
             }
         }
         let factor = factor.into_iter().map(|number| number as f32).collect();
-        Self { first, count, width, factor }
-    }
-
-    /// The body's nodes.
-    pub fn nodes(&self) -> Range<usize> {
-        self.first as usize..self.first as usize + self.count
+        Self { count, width, factor }
     }
 
     /// Solves for the nodes, in place.

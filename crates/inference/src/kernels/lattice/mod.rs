@@ -1,5 +1,5 @@
-//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress, walls, and other bodies give it
-//! within a frame.
+//! Jelly as an elastic continuum on coarse lattices, one for each body: the impulse that its own stress and walls give it within a frame,
+//! while nothing else is close.
 //!
 //! A frame is as long as a pressure wave needs to cross a body of jelly, so that from one frame to the next only the phase of a
 //! body's vibration tells how it goes on. A network does not learn it to the accuracy that a rebound needs, but it can be
@@ -15,11 +15,10 @@
 //! 3. Points (`stress`): a quarter of an element each, where the mean of its particles is, with their mass and area. From the deformation
 //!    gradient and its rate there follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the
 //!    grid of the material-point method does), and its forces on the nodes.
-//! 4. Surfaces (`surface`), in parts that are as wide as a cell of that grid, whatever the width of elements is. Beyond the plane of contact
-//!    with a wall, a part is pushed back by a spring, less while it moves away, without friction. In the ground truth, bodies that are closer
-//!    than the splines of the grid are wide move with common velocities: here, a viscosity between the parts of different bodies exchanges
-//!    momentum, and a weak spring keeps them apart.
-//! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none.
+//! 4. The surface (`surface`), in parts that are as wide as a cell of that grid, whatever the width of elements is. Beyond the plane of contact
+//!    with a wall, a part is pushed back by a spring, less while it moves away, without friction.
+//! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none, nor does one of a
+//!    body that other matter is close to, whose forces are not known here, or that is torn, as the ground truth allows.
 
 mod cover;
 mod fit;
@@ -33,7 +32,7 @@ use eddy_frames::Material;
 use super::rest_shape::RestShape;
 use cover::Cover;
 pub use fit::Band;
-use surface::Surfaces;
+use surface::{bounds, is_within};
 
 /// Particles of a body at least: smaller ones have no lattice.
 const MIN_PARTICLES: usize = 16;
@@ -41,14 +40,14 @@ const MIN_PARTICLES: usize = 16;
 pub const PART_WIDTH: f32 = 1.75;
 /// Steps at least in the time that a pressure wave takes to cross the narrowest element. Fewer are unstable; more are accurate.
 const STEPS_PER_CROSSING: f32 = 1.5;
-/// Share of a velocity that walls and contact take away in a step, at most: 2 is unstable, and elasticity adds to it.
+/// Square of a step times the frequency of the springs of walls, at most: 4 is unstable, and elasticity adds to it.
 const STABLE: f32 = 1.5;
-/// Share of the contact distance by which bodies that push each other mostly overlap.
-const OVERLAP: f32 = 0.35;
 /// Steps per frame at most.
 pub const MOST_STEPS: usize = 256;
 /// Mass of a node at least, as a share of that of a full element.
 const LIGHTEST: f64 = 0.1;
+/// Strain that tears a body while walls push it, relative to that of a free one.
+const PUSHED_STRAIN: f32 = 2.0;
 /// Largest change of a node's velocity within a frame (domain lengths per second): beyond it, its lattice has diverged.
 const FASTEST: f32 = 64.0;
 
@@ -65,8 +64,11 @@ pub struct Elasticity {
     pub wall_stiffness: f32,
     /// Share of the walls' push while a part moves away from them, but for the slowest.
     pub rebound: f32,
-    /// Between bodies.
-    pub contact: Contact,
+    /// Distance of other matter below which a body has no impulse (domain lengths).
+    pub clear_distance: f32,
+    /// Stretch above which a free body has no impulse: it is torn, or consists of bodies that touched in the first frame. While walls
+    /// push it, it may have twice the strain.
+    pub most_stretch: f32,
     /// Steps per frame.
     pub steps: usize,
     /// Time between two frames (s).
@@ -76,44 +78,30 @@ pub struct Elasticity {
 }
 
 impl Elasticity {
-    /// Steps per frame that a body needs whose narrowest element has this width (domain lengths) and whose nodes, from `first` on, have
-    /// these parts of its surface.
-    fn least_steps(
-        &self,
-        narrowest: f32,
-        first: u32,
-        inverse_mass: &[f32],
-        surface: &[SurfacePart],
-    ) -> f32 {
+    /// The planes from which on walls push.
+    fn pushing(&self, Walls { lower, upper }: &Walls) -> Walls {
+        Walls {
+            lower: lower.map(|wall| wall + self.wall_distance),
+            upper: upper.map(|wall| wall - self.wall_distance),
+        }
+    }
+
+    /// Steps per frame that a body needs whose narrowest element has this width (domain lengths) and whose nodes have these parts of its
+    /// surface.
+    fn least_steps(&self, narrowest: f32, inverse_mass: &[f32], surface: &[SurfacePart]) -> f32 {
         let [mu, lambda] = self.lame;
         let crossings = (lambda + 2.0 * mu).sqrt() * self.dt / narrowest;
         let mut pushed = vec![0.0; inverse_mass.len()];
         for SurfacePart { nodes, weights, particles } in surface {
             for (node, weight) in nodes.iter().zip(weights) {
-                pushed[(node - first) as usize] += weight.abs() * particles;
+                pushed[*node as usize] += weight.abs() * particles;
             }
         }
         // Of a node's velocity, if all parts of the surface around it are pushed.
         let share = pushed.iter().zip(inverse_mass).map(|(mass, inverse)| mass * inverse);
-        let share = share.fold(0.0, f32::max);
-        let spring = 0.5 * self.wall_stiffness * share;
-        let exchange = OVERLAP * self.contact.viscosity * share;
-        // The step h with h^2 spring + h exchange = STABLE.
-        let root = (exchange * exchange + 4.0 * spring * STABLE).sqrt();
-        let of_surface = self.dt * (exchange + root) / (2.0 * STABLE);
-        of_surface.max(STEPS_PER_CROSSING * crossings)
+        let spring = 0.5 * self.wall_stiffness * share.fold(0.0, f32::max);
+        (self.dt * (spring / STABLE).sqrt()).max(STEPS_PER_CROSSING * crossings)
     }
-}
-
-/// What parts of the surfaces of different bodies do to each other.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Contact {
-    /// Below this distance (domain lengths), from where on both of the following grow linearly.
-    pub distance: f32,
-    /// Acceleration that keeps them apart, per depth (1 / s^2).
-    pub stiffness: f32,
-    /// Rate at which they exchange momentum where they touch (1 / s).
-    pub viscosity: f32,
 }
 
 /// Where a ballistic step stops at walls (domain lengths).
@@ -125,7 +113,7 @@ pub struct Walls {
     pub upper: [f32; 2],
 }
 
-/// What elasticity, walls and contact change within a frame, beside free fall.
+/// What elasticity and walls change within a frame, beside free fall.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Impulse {
     /// To add to a particle's velocity before the frame (domain lengths per second).
@@ -169,21 +157,28 @@ pub struct SurfacePart {
 
 /// The lattices of a stream's bodies of jelly.
 #[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lattices {
+    bodies: Vec<Lattice>,
+    /// Number of each row's body, or [`Lattices::NO_BODY`], `[N]`; empty if there is no body.
+    body_of: Vec<u32>,
+}
+
+/// The lattice of a body.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     elasticity: Elasticity,
-    /// Row of each particle of a body, `[P]`.
+    /// Row of each of its particles, `[P]`.
     rows: Vec<u32>,
     /// The nodes of its element, and their shape functions there, `[P, 4]`.
     corners: Vec<[Share; 4]>,
-    /// Of each body.
-    normal_equations: Vec<Band>,
+    normal_equations: Band,
     /// 1 / mass of each node, `[n]` (1 / mass of a particle).
     inverse_mass: Vec<f32>,
     points: Vec<Point>,
-    surfaces: Surfaces,
+    surface: Vec<SurfacePart>,
 }
 
-/// Scratch buffers of a frame.
+/// Scratch buffers of a body's frame.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch {
     nodes: Vec<Node>,
@@ -191,7 +186,7 @@ pub struct Scratch {
     start: Vec<Node>,
     residuals: Vec<Node>,
     impulses: Vec<Impulse>,
-    /// Of each part of a surface.
+    /// Of each part of the surface.
     parts: Vec<Node>,
 }
 
@@ -206,9 +201,12 @@ struct Node {
     force: [f32; 2],
 }
 
-impl Lattice {
+impl Lattices {
+    /// Number of the body of a row in no body.
+    pub const NO_BODY: u32 = u32::MAX;
+
     /// The lattices of particles at `position` (domain lengths) whose rest shape has the rows `rows` of `rest`; elements are as wide as
-    /// `cell_width` spacings (domain lengths), or as a body that is narrower. Steps are as short as all bodies need them; one that needs more
+    /// `cell_width` spacings (domain lengths), or as a body that is narrower. Each body has as many steps as it needs; one that needs more
     /// than [`MOST_STEPS`] has no lattice.
     ///
     /// # Panics
@@ -221,40 +219,158 @@ impl Lattice {
         (cell_width, elasticity): (f32, Elasticity),
     ) -> Self {
         assert_eq!((position.len(), material.len()), (rows.len(), rows.len()));
-        let mut lattice = Self { elasticity, ..Self::default() };
-        for body in cover::bodies((rest, rows), material, spacing) {
-            if body.len() >= MIN_PARTICLES {
-                let place = |&row: &u32| position[row as usize].map(f64::from);
-                let places: Vec<_> = body.iter().map(place).collect();
-                let spacing = f64::from(spacing);
-                lattice.add(&body, &places, spacing, f64::from(cell_width) * spacing);
-            }
+        let lattice = |body: Vec<u32>| {
+            let place = |&row: &u32| position[row as usize].map(f64::from);
+            let places: Vec<_> = body.iter().map(place).collect();
+            let spacing = f64::from(spacing);
+            Lattice::new(body, &places, spacing, (f64::from(cell_width) * spacing, elasticity))
+        };
+        let bodies = cover::bodies((rest, rows), material, spacing);
+        let bodies = bodies.into_iter().filter(|body| body.len() >= MIN_PARTICLES);
+        let bodies: Vec<_> = bodies.filter_map(lattice).collect();
+        let mut body_of = Vec::new();
+        if !bodies.is_empty() {
+            body_of.resize(position.len(), Self::NO_BODY);
         }
-        lattice
+        for (number, Lattice { rows, .. }) in bodies.iter().enumerate() {
+            rows.iter().for_each(|&row| body_of[row as usize] = number as u32);
+        }
+        Self { bodies, body_of }
     }
 
     /// The lattices for rows in another order: `order[i]` is the row that becomes row i.
     pub fn permuted(mut self, order: &[u32]) -> Self {
+        if self.is_empty() {
+            return self;
+        }
         let mut place = vec![0; order.len()];
         for (row, &from) in order.iter().enumerate() {
             place[from as usize] = row as u32;
         }
-        self.rows.iter_mut().for_each(|row| *row = place[*row as usize]);
+        let rows = self.bodies.iter_mut().flat_map(|body| &mut body.rows);
+        rows.for_each(|row| *row = place[*row as usize]);
+        self.body_of = order.iter().map(|&row| self.body_of[row as usize]).collect();
         self
     }
 
-    /// Row of each particle of a body, `[P]`.
+    /// The lattice of each body.
+    pub fn bodies(&self) -> &[Lattice] {
+        &self.bodies
+    }
+
+    /// Number of each row's body, or [`Lattices::NO_BODY`], `[N]`; empty if there is no body.
+    pub fn body_of(&self) -> &[u32] {
+        &self.body_of
+    }
+
+    /// Whether there is no body.
+    pub fn is_empty(&self) -> bool {
+        self.bodies.is_empty()
+    }
+
+    /// The impulses of a body's particles, as pairs of row and impulse; nothing if another particle is close to the body, or it is torn. Positions and
+    /// velocities are by rows (domain lengths, domain lengths per second).
+    pub fn impulses<'s>(
+        &'s self,
+        body: usize,
+        walls: &Walls,
+        motion: (&[[f32; 2]], &[[f32; 2]]),
+        scratch: &'s mut Scratch,
+    ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
+        let lattice = &self.bodies[body];
+        lattice.fit(motion, scratch);
+        let Scratch { nodes, parts, .. } = scratch;
+        lattice.locate(nodes, parts);
+        let bounds = bounds(parts);
+        let reach = lattice.elasticity.clear_distance;
+        let is_close = |(&of, &place): (&u32, &[f32; 2])| {
+            of as usize != body
+                && is_within(reach, &bounds, place)
+                && parts.iter().any(|part| squared_distance(part.position, place) < reach * reach)
+        };
+        let walls = lattice.elasticity.pushing(walls);
+        let [low, high] = bounds;
+        let is_pushed =
+            (0..2).any(|axis| low[axis] < walls.lower[axis] || high[axis] > walls.upper[axis]);
+        let share = if is_pushed { PUSHED_STRAIN } else { 1.0 };
+        let most_stretch = 1.0 + share * (lattice.elasticity.most_stretch - 1.0);
+        let is_whole = |point| stress::stretch(point, nodes) <= most_stretch;
+        let is_clear =
+            lattice.points.iter().all(is_whole) && !self.body_of.iter().zip(motion.0).any(is_close);
+        is_clear.then(|| lattice.impulses(&walls, scratch)).into_iter().flatten()
+    }
+}
+
+impl Lattice {
+    /// The lattice of a body of these rows with these positions; none if the body is too sparse, or needs too many steps.
+    fn new(
+        rows: Vec<u32>,
+        places: &[[f64; 2]],
+        spacing: f64,
+        (width, mut elasticity): (f64, Elasticity),
+    ) -> Option<Self> {
+        let cover = Cover::new(places, spacing, width)?;
+        let full = cover.width[0] * cover.width[1] / (spacing * spacing);
+        let nodes = cover.used_nodes();
+        let mut mass = vec![0.0; nodes.len()];
+        let number = |node: usize| nodes.binary_search(&node).expect("of an element");
+        let mut corners = Vec::with_capacity(rows.len());
+        for &place in places {
+            corners.push(cover.corners(place, cover.element(place)).map(|(node, weight, _)| {
+                mass[number(node)] += weight;
+                Share { index: number(node) as u32, weight: weight as f32 }
+            }));
+        }
+        let inverse = |mass: f64| (1.0 / mass.max(LIGHTEST * full)) as f32;
+        let inverse_mass: Vec<_> = mass.into_iter().map(inverse).collect();
+        let surface_part = |part: &cover::Part| {
+            let corners = cover.corners_of(part);
+            SurfacePart {
+                nodes: corners.map(|corner| number(corner.0) as u32),
+                weights: corners.map(|corner| corner.1 as f32),
+                particles: part.particles as f32,
+            }
+        };
+        let part_width = f64::from(PART_WIDTH) * spacing;
+        let surface: Vec<_> = cover.surface(places, part_width).iter().map(surface_part).collect();
+        let narrowest = cover.width[0].min(cover.width[1]) as f32;
+        let steps = elasticity.least_steps(narrowest, &inverse_mass, &surface);
+        if steps > MOST_STEPS as f32 {
+            return None;
+        }
+        elasticity.steps = elasticity.steps.max(steps.ceil() as usize);
+        let point = |part: cover::Part| {
+            let corners = cover.corners_of(&part);
+            Point {
+                nodes: corners.map(|corner| number(corner.0) as u32),
+                gradients: corners.map(|corner| corner.2.map(|slope| slope as f32)),
+                particles: part.particles as f32,
+                width: (0.5 * (cover.width[0] + cover.width[1])) as f32,
+            }
+        };
+        Some(Self {
+            elasticity,
+            rows,
+            normal_equations: Band::new(nodes.len(), &corners),
+            corners,
+            inverse_mass,
+            points: cover.quarters(places).into_iter().map(point).collect(),
+            surface,
+        })
+    }
+
+    /// Row of each of its particles, `[P]`.
     pub fn rows(&self) -> &[u32] {
         &self.rows
     }
 
-    /// The nodes of each such particle's element, and their shape functions there, `[P, 4]`.
+    /// The nodes of each particle's element, and their shape functions there, `[P, 4]`.
     pub fn corners(&self) -> &[[Share; 4]] {
         &self.corners
     }
 
-    /// The normal equations of the fit of each body's nodes.
-    pub fn normal_equations(&self) -> &[Band] {
+    /// The normal equations of the fit of the nodes.
+    pub fn normal_equations(&self) -> &Band {
         &self.normal_equations
     }
 
@@ -268,76 +384,14 @@ impl Lattice {
         &self.points
     }
 
-    /// The law, with as many steps as the body needs that needs most.
+    /// The law, with as many steps as the body needs.
     pub fn elasticity(&self) -> &Elasticity {
         &self.elasticity
     }
 
-    /// The parts of surfaces, by bodies.
+    /// The parts of the surface.
     pub fn surface(&self) -> &[SurfacePart] {
-        &self.surfaces.parts
-    }
-
-    /// The parts of each body.
-    pub fn surfaces(&self) -> &[Range<u32>] {
-        &self.surfaces.bodies
-    }
-
-    /// Whether there is no body.
-    pub fn is_empty(&self) -> bool {
-        self.rows.is_empty()
-    }
-
-    /// Adds a body of these rows with these positions.
-    fn add(&mut self, body: &[u32], places: &[[f64; 2]], spacing: f64, width: f64) {
-        let Some(cover) = Cover::new(places, spacing, width) else { return };
-        let full = cover.width[0] * cover.width[1] / (spacing * spacing);
-        let nodes = cover.used_nodes();
-        let begin = self.inverse_mass.len() as u32;
-        let mut mass = vec![0.0; nodes.len()];
-        let number = |node: usize| nodes.binary_search(&node).expect("of an element");
-        let mut shares = Vec::with_capacity(body.len());
-        for &place in places {
-            shares.push(cover.corners(place, cover.element(place)).map(|(node, weight, _)| {
-                mass[number(node)] += weight;
-                Share { index: begin + number(node) as u32, weight: weight as f32 }
-            }));
-        }
-        let inverse = |mass: f64| (1.0 / mass.max(LIGHTEST * full)) as f32;
-        let inverse_mass: Vec<_> = mass.into_iter().map(inverse).collect();
-        let surface_part = |part: &cover::Part| {
-            let corners = cover.corners_of(part);
-            SurfacePart {
-                nodes: corners.map(|corner| begin + number(corner.0) as u32),
-                weights: corners.map(|corner| corner.1 as f32),
-                particles: part.particles as f32,
-            }
-        };
-        let width = f64::from(PART_WIDTH) * spacing;
-        let surface: Vec<_> = cover.surface(places, width).iter().map(surface_part).collect();
-        let narrowest = cover.width[0].min(cover.width[1]) as f32;
-        let steps = self.elasticity.least_steps(narrowest, begin, &inverse_mass, &surface);
-        if steps > MOST_STEPS as f32 {
-            return;
-        }
-        self.elasticity.steps = self.elasticity.steps.max(steps.ceil() as usize);
-
-        self.normal_equations.push(Band::new(begin, nodes.len(), &shares));
-        self.rows.extend(body);
-        self.corners.extend(shares);
-        self.inverse_mass.extend(inverse_mass);
-        for part in cover.quarters(places) {
-            let corners = cover.corners_of(&part);
-            self.points.push(Point {
-                nodes: corners.map(|corner| begin + number(corner.0) as u32),
-                gradients: corners.map(|corner| corner.2.map(|slope| slope as f32)),
-                particles: part.particles as f32,
-                width: (0.5 * (cover.width[0] + cover.width[1])) as f32,
-            });
-        }
-        let first = self.surfaces.parts.len() as u32;
-        self.surfaces.parts.extend(surface);
-        self.surfaces.bodies.push(first..self.surfaces.parts.len() as u32);
+        &self.surface
     }
 
     /// The positions and velocities of the nodes, fitted to those of the particles.
@@ -355,12 +409,16 @@ impl Lattice {
             }
             residual
         });
-        for band in &self.normal_equations {
-            band.solve(&mut residuals[band.nodes()]);
-        }
+        self.normal_equations.solve(residuals);
         for (node, residual) in nodes.iter_mut().zip(residuals) {
             node.add(1.0, residual);
         }
+    }
+
+    /// The positions and velocities of the parts of the surface.
+    fn locate(&self, nodes: &[Node], parts: &mut Vec<Node>) {
+        parts.clear();
+        parts.extend(self.surface.iter().map(|part| part.state(nodes)));
     }
 
     /// Sums over the particles, weighted with their shape functions, at the nodes.
@@ -375,22 +433,15 @@ impl Lattice {
         }
     }
 
-    /// The impulses of a frame's particles, as pairs of row and impulse; no others get one. Positions and velocities are by rows
-    /// (domain lengths, domain lengths per second).
-    pub fn impulses<'s>(
+    /// The impulses of its particles, as pairs of row and impulse, from fitted nodes and the planes from which on walls push.
+    fn impulses<'s>(
         &'s self,
-        &Walls { lower, upper }: &Walls,
-        motion: (&[[f32; 2]], &[[f32; 2]]),
+        walls: &Walls,
         scratch: &'s mut Scratch,
     ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
         let elasticity = &self.elasticity;
-        let walls = Walls {
-            lower: lower.map(|wall| wall + elasticity.wall_distance),
-            upper: upper.map(|wall| wall - elasticity.wall_distance),
-        };
         let Elasticity { steps, dt, gravity, .. } = *elasticity;
-        self.fit(motion, scratch);
-        let Scratch { nodes, start, impulses, parts, .. } = scratch;
+        let Scratch { nodes, start, impulses, .. } = scratch;
         start.clone_from(nodes);
         let step = dt / steps as f32;
         let fall = gravity.map(|gravity| gravity * step);
@@ -398,7 +449,9 @@ impl Lattice {
             for point in &self.points {
                 stress::add_forces(elasticity, point, nodes);
             }
-            self.surfaces.add_forces(elasticity, &walls, fall, parts, nodes);
+            for part in &self.surface {
+                surface::add_forces(elasticity, walls, fall, part, nodes);
+            }
             for (node, inverse_mass) in nodes.iter_mut().zip(&self.inverse_mass) {
                 node.advance(step, *inverse_mass, fall);
             }
@@ -406,14 +459,10 @@ impl Lattice {
         impulses.clear();
         let pairs = start.iter().zip(&*nodes);
         impulses.extend(pairs.map(|(from, to)| Impulse::between(from, to, elasticity)));
-        for band in &self.normal_equations {
-            let body = &mut impulses[band.nodes()];
-            if !body.iter().all(Impulse::has_converged) {
-                body.fill(Impulse::default());
-            }
-        }
         let impulses = &*impulses;
-        self.rows.iter().zip(&self.corners).map(move |(&row, corners)| {
+        let has_converged = impulses.iter().all(Impulse::has_converged);
+        let particles = self.rows.iter().zip(&self.corners).filter(move |_| has_converged);
+        particles.map(move |(&row, corners)| {
             let mut sum = Impulse::default();
             for Share { index, weight } in corners {
                 let Impulse { velocity_change, displacement } = impulses[*index as usize];
@@ -422,6 +471,18 @@ impl Lattice {
             }
             (row as usize, sum)
         })
+    }
+}
+
+impl SurfacePart {
+    /// Its position and velocity.
+    #[inline(always)]
+    fn state(&self, nodes: &[Node]) -> Node {
+        let mut own = Node::default();
+        for (&node, &weight) in self.nodes.iter().zip(&self.weights) {
+            own.add(weight, &nodes[node as usize]);
+        }
+        own
     }
 }
 
@@ -443,6 +504,11 @@ impl Impulse {
     fn has_converged(&self) -> bool {
         self.velocity_change.iter().all(|change| change.abs() <= FASTEST)
     }
+}
+
+fn squared_distance(one: [f32; 2], other: [f32; 2]) -> f32 {
+    let [x, y] = [one[0] - other[0], one[1] - other[1]];
+    x * x + y * y
 }
 
 /// Adds a multiple of a vector.

@@ -1,32 +1,43 @@
-//! The forces of the stress at a quadrature point on the nodes of its element.
+//! The stretch at a quadrature point, and the forces of its stress on the nodes of its element.
 
-use super::{Elasticity, Node, Point};
+use super::{Elasticity, Node, Point, add_scaled};
 
-/// Stretch from which on a point has no stress: bodies that touched in the first frame, and so share a lattice, come apart.
-const TORN: f32 = 1.6;
+/// The deformation gradient at a point.
+#[inline(always)]
+fn deformation(Point { nodes: corners, gradients, .. }: &Point, nodes: &[Node]) -> [[f32; 2]; 2] {
+    let mut f = [[0.0; 2]; 2];
+    for (&corner, gradient) in corners.iter().zip(gradients) {
+        for (row, x) in f.iter_mut().zip(nodes[corner as usize].position) {
+            add_scaled(row, x, *gradient);
+        }
+    }
+    f
+}
+
+/// The larger stretch at a point.
+pub(super) fn stretch(point: &Point, nodes: &[Node]) -> f32 {
+    let f = deformation(point, nodes);
+    let sum = (f[0][0] + f[1][1]).hypot(f[1][0] - f[0][1]);
+    0.5 * (sum + (f[0][0] - f[1][1]).hypot(f[1][0] + f[0][1]))
+}
 
 /// Adds the forces of a point's stress, in units of a particle's mass, to its nodes.
 #[inline(always)]
 pub(super) fn add_forces(elasticity: &Elasticity, point: &Point, nodes: &mut [Node]) {
     let Elasticity { lame: [mu, lambda], viscosity, .. } = *elasticity;
     let Point { nodes: corners, gradients, particles, width } = point;
-    let (mut f, mut rate) = ([[0.0f32; 2]; 2], [[0.0f32; 2]; 2]);
+    let (f, mut rate) = (deformation(point, nodes), [[0.0f32; 2]; 2]);
     for corner in 0..4 {
-        let Node { position: x, velocity: v, .. } = nodes[corners[corner] as usize];
+        let v = nodes[corners[corner] as usize].velocity;
         for row in 0..2 {
             for column in 0..2 {
-                f[row][column] += x[row] * gradients[corner][column];
                 rate[row][column] += v[row] * gradients[corner][column];
             }
         }
     }
-    // The rotation R of the polar decomposition; the sum and the difference of the stretches.
+    // The rotation R of the polar decomposition.
     let (cos, sin) = (f[0][0] + f[1][1], f[1][0] - f[0][1]);
     let length = (cos * cos + sin * sin).sqrt().max(1e-12);
-    let difference = (f[0][0] - f[1][1]).powi(2) + (f[1][0] + f[0][1]).powi(2);
-    let apart = 2.0 * TORN - length;
-    let is_torn = apart < 0.0 || difference > apart * apart;
-    let area = if is_torn { 0.0 } else { *particles };
     let (cos, sin) = (cos / length, sin / length);
     let modulus = lambda + 2.0 * mu;
     let volumetric = lambda * (f[0][0] * f[1][1] - f[0][1] * f[1][0] - 1.0);
@@ -62,7 +73,7 @@ pub(super) fn add_forces(elasticity: &Elasticity, point: &Point, nodes: &mut [No
         for axis in 0..2 {
             let [along_x, along_y] = gradients[corner];
             let elastic = stress[axis][0] * along_x + stress[axis][1] * along_y;
-            force[axis] -= area * elastic;
+            force[axis] -= particles * elastic;
         }
     }
 }

@@ -94,13 +94,12 @@ pub(in crate::train) fn store(
     Ok(store.finish()?)
 }
 
-/// All frames of all streams with the rest shapes of their solids, for the described particle model.
+/// All frames of all streams with the rest shapes of their solids, which lie `spacing` apart at rest.
 pub(in crate::train) fn particle_store(
     device: &dyn Device,
-    description: &Description,
     streams: &[Trajectory],
+    spacing: f32,
 ) -> Result<particle::Store, TrainError> {
-    let spacing = description.grid.as_ref().map_or(0.0, |grid| grid.spacing);
     let counts = streams.iter().map(|stream| stream.material.len());
     let bodies = streams.iter().map(|stream| stream.material.len() * stream.frames).sum();
     let most = counts.max().unwrap_or(0);
@@ -108,17 +107,9 @@ pub(in crate::train) fn particle_store(
     for stream in streams {
         let sides = stream.domain.lower[0] + stream.domain.upper[0];
         let mirrored: Vec<_> = stream.rest.iter().map(|&[x, y]| [sides - x, y]).collect();
-        let (places, kinds) = ([&stream.rest, &mirrored], &stream.material);
-        let rest = places.map(|rest| RestShape::new(rest, kinds, 1, spacing));
+        let shape = |rest: &[[f32; 2]]| RestShape::new(rest, &stream.material, 1, spacing);
         let stiffness = stream.stiffness.map_or(0.0, stiffness_feature);
-        store.stream(&numbers(stream), rest.each_ref(), stiffness);
-        if description.elastic.is_some() {
-            let stiffness = stream.stiffness.filter(|_| description.stiffness);
-            let lattice = |side: usize| {
-                description.lattice((&rest[side], 0..kinds.len()), places[side], kinds, stiffness)
-            };
-            store.lattices([&lattice(0), &lattice(1)])?;
-        }
+        store.stream(&numbers(stream), [&shape(&stream.rest), &shape(&mirrored)], stiffness);
         visit(stream, |bodies| store.frame(bodies))?;
     }
     Ok(store.finish()?)
@@ -139,7 +130,7 @@ impl Stores {
     ) -> Result<Self, TrainError> {
         Ok(match &description.grid {
             None => Self::Frame(Arc::new(store(device, streams, place)?)),
-            Some(_) => Self::Particle(Arc::new(particle_store(device, description, streams)?)),
+            Some(grid) => Self::Particle(Arc::new(particle_store(device, streams, grid.spacing)?)),
         })
     }
 

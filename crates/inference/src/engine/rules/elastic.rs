@@ -1,0 +1,46 @@
+//! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`](crate::kernels::lattice)), whatever
+//! was predicted: from its positions and velocities that is known far better than a network learns it.
+
+use super::{Observed, Predicted};
+use crate::kernels::lattice::{self, Lattices, Walls};
+use eddy_threads::DisjointSlice;
+
+/// Buffers of each body.
+pub(super) type Scratch = Vec<lattice::Scratch>;
+
+/// The motion of a stream's bodies in a frame.
+pub(super) struct Elastic<'a> {
+    lattices: &'a Lattices,
+    scratch: DisjointSlice<'a, lattice::Scratch>,
+}
+
+impl<'a> Elastic<'a> {
+    pub(super) fn new(lattices: &'a Lattices, scratch: &'a mut Scratch) -> Self {
+        scratch.resize_with(lattices.bodies().len().max(scratch.len()), Default::default);
+        Self { lattices, scratch: DisjointSlice::new(scratch) }
+    }
+
+    /// Number of bodies.
+    pub(super) fn items(&self) -> usize {
+        self.lattices.bodies().len()
+    }
+
+    /// Replaces what was predicted for a body.
+    pub(super) fn run(&self, body: usize, observed: &Observed, predicted: &Predicted) {
+        let &Observed { position, velocity, ref ballistic, order, .. } = observed;
+        let walls = Walls { lower: ballistic.lower, upper: ballistic.upper };
+        // SAFETY: only this item has this body.
+        let scratch = unsafe { &mut self.scratch.part(body..body + 1)[0] };
+        for (row, impulse) in self.lattices.impulses(body, &walls, (position, velocity), scratch) {
+            // SAFETY: a particle is in one body, and this stage only reads and writes its own.
+            let (to, speed) = unsafe { predicted.one(order[row] as usize) };
+            for axis in 0..2 {
+                let fallen = ballistic.gravity[axis] * ballistic.dt;
+                let v = velocity[row][axis] + impulse.velocity_change[axis];
+                let x = position[row][axis] + (v + 0.5 * fallen) * ballistic.dt;
+                to[axis] = ballistic.clamp_axis(axis, x + impulse.displacement[axis]);
+                speed[axis] = v + fallen;
+            }
+        }
+    }
+}
