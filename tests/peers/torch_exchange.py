@@ -120,11 +120,15 @@ def apply_rules(model: ParticleModel, material: Tensor, bodies: Bodies, predicte
     elastic = model.elastic
     linked = (neighbours[0][0] > 0) & (material[0] == MATERIALS.index("jelly")).unsqueeze(1)
     lattices = elastic.lattices(rest[0], linked) if elastic else []
-    both = []
+    both, moved = [], 0
     for shown, next in zip(zip(*(track[:, 0] for track in bodies)), zip(*(track[:, 0] for track in predicted))):
-        next = elastic.replace(shown, next, lattices) if elastic else next
+        if elastic:
+            replaced = elastic.replace(shown, next, lattices)
+            moved, next = moved + int(not replaced[0].equal(next[0])), replaced
         next = model.keep_shape(matter, model.keep_area(material[0], next))
         both.append(model.keep_momentum(shown, next))
+    if elastic and moved == 0:
+        raise ValueError("the rule `elastic`: found no frame in which it moves jelly, expected some")
     position, velocity = zip(*both)
     return torch.stack(position).unsqueeze(1), torch.stack(velocity).unsqueeze(1)
 

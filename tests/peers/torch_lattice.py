@@ -1,7 +1,7 @@
 """The rule `elastic` in PyTorch: bilinear elements on a lattice for each body of jelly, fitted to its particles by least squares.
 
 It follows the description in eddy's documentation and `[rules.elastic]` of `model.toml`, with dense matrices where eddy has sparse ones, for
-networks that are not conditioned on the stiffness and bodies that are not narrower than an element, which needs more steps.
+networks that are not conditioned on the stiffness and bodies that need no more steps (narrow ones do, and light corners that walls push).
 """
 
 import math
@@ -179,7 +179,7 @@ class Elastic:
             parts = lattice.weights @ nodes
             pushed = bool(((parts < self.lower) | (parts > self.upper)).any())
             strain = (PUSHED_STRAIN if pushed else 1) * (self.options["most_stretch"] - 1)
-            if bool((stretch > 1 + strain).any()):
+            if not bool((stretch <= 1 + strain).all()):
                 continue
             if bool((torch.cdist(position[is_other], parts) < self.options["clear_distance"] * self.spacing).any()):
                 continue

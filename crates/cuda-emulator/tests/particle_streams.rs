@@ -99,12 +99,16 @@ fn jelly_moves_by_its_elasticity_as_it_does_on_the_processor() {
     for stiffness in [false, true] {
         let rules = Rules::default();
         let plain = Description { stiffness, rules, ..small(Core::MinGru).description };
-        let checkpoint = checkpoint(elastic(&plain), 3);
+        let checkpoint_of = |description| checkpoint(description, 3);
+        let checkpoint = checkpoint_of(elastic(&plain));
         let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
         let found = predict(&emulated(&checkpoint), &frames);
+        let plain = checkpoint_of(plain);
+        let without = predict(&Surrogate::load(&plain, threads(1)).unwrap(), &frames);
+        assert!(apart(&without[3], &expected[3]) > 0.1, "the rule moves jelly");
         for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
             let apart = apart(found, expected);
-            // A position's rounding, 6e-8, gives an element 0.07 wide a velocity of 6e-5 within a frame; impulses are of order 1.
+            // A position's rounding, 6e-8, gives an element 0.07 wide a velocity of 6e-5 within a frame.
             assert!(apart <= 2e-4, "conditioned: {stiffness}, frame {number}: {apart} apart");
         }
     }

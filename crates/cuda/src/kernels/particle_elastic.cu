@@ -184,6 +184,10 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
   const float most_stretch = 1.0f + (is_pushed ? PUSHED_STRAIN : 1.0f) * (l.most_stretch - 1.0f);
   for (u32 point = threadIdx.x; point < points; point += ELASTIC_THREADS)
     if (!(stretch(l.points[point], now) <= most_stretch)) stops = 1;
+  __syncthreads();
+  const int is_torn = stops;
+  __syncthreads();
+  if (is_torn) return;
   for (u32 p = threadIdx.x; p < s.particles; p += ELASTIC_THREADS) {
     if (s.body_of[p] == number) continue;
     const Body other = s.bodies[p];

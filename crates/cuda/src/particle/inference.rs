@@ -14,7 +14,7 @@
 //! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
 //! | layers on nodes | a few nodes | a list | another list |
 //! | decode | a tile of slots | list 2, features, states | states, predictions |
-//! | rules | particles, nodes, cells | particles, links, the grid | predictions |
+//! | rules | a body of jelly; particles, nodes, cells | lattices; particles, links, the grid | predictions |
 //! | store | 256 particles | predictions | memory of the host |
 
 #![expect(unsafe_code, reason = "launches, and memory that the device reads and writes")]

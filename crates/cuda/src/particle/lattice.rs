@@ -9,10 +9,10 @@ use crate::{
     error::{CudaError, Result},
 };
 
-/// Threads of a block, which has a frame of a body: of the kernels.
+/// Threads of a block of `particle_elastic`, which advances a body.
 pub(super) const ELASTIC_THREADS: usize = 512;
 
-/// Blocks of a stream, which has at least one body in most cases, and seldom more than these.
+/// Blocks of a stream; further bodies follow in them.
 pub(super) const ELASTIC_BLOCKS: usize = 4;
 
 /// Nodes of a body at most: its fit has a dense matrix on a device.

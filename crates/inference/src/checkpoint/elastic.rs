@@ -20,7 +20,7 @@ pub struct ElasticRule {
     pub poisson_ratio: f32,
     /// Width of the elements (spacings at rest), 2 to 1024; in a network that is conditioned on the stiffness, at least.
     pub cell_width: f32,
-    /// Steps per frame, 1 to 256; in a network that is conditioned on the stiffness, at least.
+    /// Steps per frame at least, 1 to 256; a body that is narrow, or has corners with few particles, has as many as it needs.
     pub steps: usize,
     /// Viscosity, relative to density x speed of pressure waves x width of an element, 0 to 0.5.
     pub viscosity: f32,
@@ -40,7 +40,7 @@ impl ElasticRule {
     /// The most steps per frame.
     pub const MOST_STEPS: usize = lattice::MOST_STEPS;
     /// Steps in the time that a pressure wave takes to cross an element, with which they are accurate.
-    const STEPS_PER_CROSSING: f32 = 2.25;
+    const ACCURATE_STEPS: f32 = 2.25;
     /// Width that the stiffness of walls refers to: two parts of a surface (spacings at rest).
     const SURFACE_WIDTH: f32 = 2.0 * lattice::PART_WIDTH;
 
@@ -54,7 +54,7 @@ impl ElasticRule {
     #[must_use]
     pub fn with_modulus(mut self, modulus: f32, spacing: f32, dt: f32) -> Self {
         self.modulus = modulus;
-        let steps = Self::STEPS_PER_CROSSING * self.crossings(spacing, dt);
+        let steps = Self::ACCURATE_STEPS * self.crossings(spacing, dt);
         let ratio = (steps / self.steps as f32).max(1.0);
         self.cell_width *= ratio.powf(2.0 / 3.0);
         let steps = (self.steps as f32 * ratio.cbrt()).ceil() as usize;

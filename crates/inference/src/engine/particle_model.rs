@@ -173,15 +173,14 @@ impl ParticleModel {
 
         let Scratch {
             grid,
+            state: [position, velocity],
             features,
             segments,
             segment_sums,
             ballistic_motion,
             rules,
             buffers,
-            ..
         } = scratch;
-        let Scratch { state: [position, velocity], .. } = scratch;
         let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {

@@ -547,7 +547,7 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
 }
 
 #[test]
-fn elasticity_has_the_same_bits_with_any_number_of_threads_and_moves_jelly_only() {
+fn elasticity_has_the_same_bits_with_any_number_of_threads_and_changes_no_liquid() {
     let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
     let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);
     let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };

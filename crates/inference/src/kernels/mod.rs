@@ -22,7 +22,7 @@
 //! 9. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
 //! 10. [`gathered`]: convolutions on nodes.
 //! 11. [`rest_shape`]: strain and bend of jelly and rope.
-//! 12. [`lattice`]: the elastic impulse of jelly.
+//! 12. [`lattice`]: jelly as an elastic continuum.
 //! 13. [`spacing`]: the distance between neighbouring particles.
 
 pub mod activation;

@@ -91,7 +91,8 @@ impl TrainConfig {
 }
 
 /// Turns the description of an untrained network into that of one that starts from a checkpoint: with the scales of features and
-/// the rules that its weights were trained with, and with its materials and streams beside those of the data.
+/// the rules that its weights were trained with, but for `elastic`, whose modulus the settings say, and with its materials and streams beside
+/// those of the data.
 pub(super) fn start_from(
     description: &mut Description,
     config: &TrainConfig,

@@ -42,7 +42,7 @@ impl Corrector {
     /// shape, `lattices` those of its bodies of jelly.
     ///
     /// # Panics
-    /// If the three differ in the number of particles.
+    /// If they differ in the number of particles.
     pub fn correct(
         &self,
         (rest, lattices): (&RestShape, &Lattices),
@@ -54,6 +54,8 @@ impl Corrector {
         }
         let particles = before.len();
         assert_eq!([rest.len(), predicted.len()], [particles; 2], "particles of the same stream");
+        let of_bodies = lattices.body_of().len();
+        assert!(lattices.is_empty() || of_bodies == particles, "lattices of the same stream");
         let Domain { lower, upper } = before.domain;
         let mut nodes = Nodes::default();
         let window = Window { particles: 0..particles, lower, upper };

@@ -1,5 +1,6 @@
 //! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`](crate::kernels::lattice)), whatever
-//! was predicted: from its positions and velocities that is known far better than a network learns it.
+//! was predicted: from its positions and velocities that is known far better than a network learns it. Later rules apply to the result. Walls
+//! have turned its velocity within the frame; it is not stopped there as in a ballistic step.
 
 use super::{Observed, Predicted};
 use crate::kernels::lattice::{self, Lattices, Walls};

@@ -15,8 +15,8 @@
 //! 3. Points (`stress`): a quarter of an element each, where the mean of its particles is, with their mass and area. From the deformation
 //!    gradient and its rate there follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the
 //!    grid of the material-point method does), and its forces on the nodes.
-//! 4. The surface (`surface`), in parts that are as wide as a cell of that grid, whatever the width of elements is. Beyond the plane of contact
-//!    with a wall, a part is pushed back by a spring, less while it moves away, without friction.
+//! 4. The surface (`surface`), in parts that are as wide as a cell of that grid, whatever the width of elements is. Beyond a plane
+//!    at some distance from a wall, a part is pushed back by a spring, less while it moves away, without friction.
 //! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none, nor does one of a
 //!    body that other matter is close to, whose forces are not known here, or that is torn, as the ground truth allows.
 
@@ -297,7 +297,7 @@ impl Lattices {
         let is_whole = |point| stress::stretch(point, nodes) <= most_stretch;
         let is_clear =
             lattice.points.iter().all(is_whole) && !self.body_of.iter().zip(motion.0).any(is_close);
-        is_clear.then(|| lattice.impulses(&walls, scratch)).into_iter().flatten()
+        is_clear.then(|| lattice.integrate(&walls, scratch)).into_iter().flatten()
     }
 }
 
@@ -434,7 +434,7 @@ impl Lattice {
     }
 
     /// The impulses of its particles, as pairs of row and impulse, from fitted nodes and the planes from which on walls push.
-    fn impulses<'s>(
+    fn integrate<'s>(
         &'s self,
         walls: &Walls,
         scratch: &'s mut Scratch,
