@@ -172,6 +172,30 @@ fn scenes_with_the_same_bodies_and_particles_along_a_curve_are_what_they_say() {
 }
 
 #[test]
+fn scenes_of_a_random_fill_differ_in_their_numbers_of_particles() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path();
+    let asked = |fill: &str| {
+        let usual = ["--preset", "kinds", "--scenes", "3", "--duration", "0.05", "--fill", fill];
+        simulate(output, &usual)
+    };
+    succeed(asked("0.05..0.3"));
+    let counts = ["scene_0000", "scene_0001", "scene_0002"]
+        .map(|bag| frames(&output.join(bag)).remove(0).len());
+    assert!(counts.iter().all(|count| (819..4916).contains(count)), "{counts:?}");
+    assert!(counts[0] != counts[1] && counts[1] != counts[2], "{counts:?}");
+    let said = fail(1, asked("0.05..0.2"));
+    assert!(said.contains("fill"), "{said}");
+    let said = fail(2, asked("0.2..0.3"));
+    assert!(
+        said.contains("--fill: found 0.2..0.3, expected 0.015 to 0.15, and a larger"),
+        "{said}"
+    );
+    let said = fail(2, simulate(output, &["--preset", "dam-break", "--fill", "0.1..0.2"]));
+    assert!(said.contains("--fill: preset dam-break has a fixed number of particles"), "{said}");
+}
+
+#[test]
 fn asking_for_2500_particles_is_asking_for_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();

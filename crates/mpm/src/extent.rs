@@ -1,7 +1,11 @@
-//! What random scenes have in common: the number of particles and the domain for them, the range of their stiffness.
+//! What random scenes have in common: the number of particles and the domain for them, the ranges of their fill and stiffness.
 //!
 //! Density, body sizes, fall heights and speeds are independent of the number of particles: the domain for more particles
-//! is wider, not higher, and contains several sets of bodies side by side, each like a scene of the default size.
+//! is wider, not higher, and contains several sets of bodies side by side, each like a scene of the default size. With a range of
+//! the fill the domain stays the unit square, and bodies are larger or smaller.
+
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
 
 use super::{
     error::MpmError,
@@ -13,24 +17,29 @@ use super::{
 /// Minimum number of particles of a random scene: the smaller share of two materials is then a rope five particles thick
 /// and three times as long.
 const MIN_PARTICLES: usize = 250;
+/// Maximum fill: one body of liquid still fits, unless it is too long.
+const MAX_FILL: f32 = 0.4;
+/// Maximum lower end of a range of the fill: bodies of any kind find places.
+const MAX_LOW_FILL: f32 = 0.15;
 /// Maximum number of cells along x.
 const MAX_COLUMNS: usize = 65_535;
 
-/// What random scenes have in common: the number of particles, whether all scenes have the same bodies, the range of their
-/// stiffness, and the domain: height 1, width 1 for up to 2,500 particles and proportional to their number above, rounded up to
+/// What random scenes have in common: the number of particles, whether all scenes have the same bodies, the ranges of their
+/// fill and stiffness, and the domain: height 1, width 1 for up to 2,500 particles and proportional to their number above, rounded up to
 /// whole cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     preset: Preset,
     particles: usize,
     same_bodies: bool,
+    fill: Option<[f32; 2]>,
     stiffness: Option<[f32; 2]>,
 }
 
 impl Extent {
     /// The default: 2,500 particles in the unit square.
     pub fn usual(preset: Preset) -> Self {
-        Self { preset, particles: PARTICLES, same_bodies: false, stiffness: None }
+        Self { preset, particles: PARTICLES, same_bodies: false, fill: None, stiffness: None }
     }
 
     /// The extent for a number of particles.
@@ -54,6 +63,29 @@ impl Extent {
     #[must_use]
     pub fn with_same_bodies(self) -> Self {
         Self { same_bodies: true, ..self }
+    }
+
+    /// The same with the usual domain, a random share of which bodies fill in each scene (their area over the domain's). A share
+    /// whose bodies find no place is drawn again, which happens to ropes above .2.
+    ///
+    /// # Errors
+    /// [`MpmError::Field`] unless the range increases, from 250 particles or more and .15 or less to .4 at most.
+    pub fn with_fill(self, range: [f32; 2]) -> Result<Self, MpmError> {
+        let [low, high] = range;
+        let least = MIN_PARTICLES as f32 * self.preset.spacing().powi(2);
+        if (least..=MAX_LOW_FILL).contains(&low) && low < high && high <= MAX_FILL {
+            return Ok(Self { particles: PARTICLES, fill: Some(range), ..self });
+        }
+        Err(MpmError::Field {
+            field: "fill".into(),
+            found: format!("{low}..{high}"),
+            expected: format!("{least:.3} to {MAX_LOW_FILL}, and a larger number up to {MAX_FILL}"),
+        })
+    }
+
+    /// The range of the share of the domain that bodies fill, unless scenes have the same number of particles.
+    pub fn fill(&self) -> Option<[f32; 2]> {
+        self.fill
     }
 
     /// The same, with a random Young's modulus for each scene: its logarithm is uniform in a range (density x velocity^2).
@@ -87,7 +119,7 @@ impl Extent {
         self.preset
     }
 
-    /// Number of particles.
+    /// Number of particles; the usual one if the fill is random.
     pub fn particles(&self) -> usize {
         self.particles
     }
@@ -104,8 +136,11 @@ impl Extent {
         self.particles.div_ceil(PARTICLES)
     }
 
-    /// Number of particles of a set of bodies. Sets differ by at most one.
-    pub(super) fn particles_of(&self, set: usize) -> usize {
+    /// Number of particles of a set of bodies. Sets differ by at most one, unless the fill is random.
+    pub(super) fn particles_of(&self, set: usize, rng: &mut ChaCha8Rng) -> usize {
+        if let Some([low, high]) = self.fill {
+            return (rng.random_range(low..high) / self.preset.spacing().powi(2)) as usize;
+        }
         let (each, over) = (self.particles / self.sets(), self.particles % self.sets());
         each + usize::from(set < over)
     }
@@ -118,10 +153,13 @@ impl Extent {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng as _;
+
     use super::*;
 
     #[test]
     fn the_width_of_a_domain_is_proportional_to_its_particles_and_at_least_1() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
         for (particles, width, sets) in [
             (250, 1.0, 1),
             (2500, 1.0, 1),
@@ -132,9 +170,22 @@ mod tests {
         ] {
             let extent = Extent::of(Preset::Kinds, particles).unwrap();
             assert_eq!((extent.grid().size(), extent.sets()), ([width, 1.0], sets), "{particles}");
-            let shares: Vec<usize> = (0..sets).map(|set| extent.particles_of(set)).collect();
+            let shares: Vec<usize> =
+                (0..sets).map(|set| extent.particles_of(set, &mut rng)).collect();
             assert_eq!(shares.iter().sum::<usize>(), particles);
             assert!(shares.iter().all(|share| shares[0] - share <= 1), "{shares:?}");
+        }
+    }
+
+    #[test]
+    fn a_fill_is_a_range_around_the_usual_one() {
+        let usual = Extent::usual(Preset::Kinds);
+        assert_eq!(usual.with_fill([0.02, 0.4]).unwrap().fill(), Some([0.02, 0.4]));
+        for range in
+            [[0.01, 0.2], [0.2, 0.3], [0.1, 0.1], [0.1, 0.05], [0.1, 0.41], [f32::NAN, 0.2]]
+        {
+            let said = usual.with_fill(range).unwrap_err().to_string();
+            assert!(said.starts_with("fill: found "), "{said}");
         }
     }
 

@@ -95,8 +95,8 @@ fn arrange_all(extent: &Extent, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
     let mut placement = Placement::new(extent.grid());
     (0..extent.sets())
         .flat_map(|set| {
-            // Bodies fill at most a fifth of the region between the walls, so this terminates: none of the first thousand
-            // scenes needs more than a few draws.
+            // Bodies fill at most a fifth of the region between the walls, or their fill is drawn again, too, so this terminates:
+            // none of the first thousand scenes needs more than a few draws.
             loop {
                 if let Some(found) = arrange(extent, set, id, &mut placement, rng) {
                     break found;
@@ -141,7 +141,7 @@ fn arrange(
 
 /// The bodies of a set, not yet placed. The sets of a wide scene correspond to the next scenes of the same kind.
 fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
-    let (preset, particles) = (extent.preset(), extent.particles_of(set));
+    let (preset, particles) = (extent.preset(), extent.particles_of(set, rng));
     let (id, spacing) = (id as usize, preset.spacing());
     match preset {
         Preset::MultiMaterial | Preset::Stiff => {
@@ -323,6 +323,29 @@ mod tests {
                     assert_eq!(scene, Scene::generate_in(&extent, 1, id));
                     assert_sound(&scene, particles, width);
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn scenes_of_a_random_fill_have_it_in_the_usual_domain() {
+        for preset in PRESETS {
+            let [low, high] = [0.05, 0.4];
+            let extent = Extent::usual(preset).with_fill([low, high]).unwrap();
+            let fills: Vec<f32> = (0..60)
+                .map(|id| {
+                    let scene = Scene::generate_in(&extent, 1, id);
+                    assert_eq!(scene, Scene::generate_in(&extent, 1, id));
+                    let particles = scene.bodies.iter().filter_map(|body| body.particles).sum();
+                    assert_sound(&scene, particles, 1.0);
+                    particles as f32 * scene.spacing().powi(2)
+                })
+                .collect();
+            assert!(fills.iter().all(|fill| (0.99 * low..high).contains(fill)), "{fills:?}");
+            // A third of them each would be uniform, but ropes do not fit where the fill is large.
+            for part in [0.05..0.165, 0.165..0.28, 0.28..0.4] {
+                let count = fills.iter().filter(|fill| part.contains(*fill)).count();
+                assert!(count >= 3, "{preset}: {count} in {part:?}");
             }
         }
     }

@@ -42,6 +42,10 @@ pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
         let usage = |error: MpmError| Usage::new(format_args!("--{error}"));
         let extent = args.particles.map(|particles| Extent::of(preset, particles));
         let extent = extent.transpose().map_err(usage)?.unwrap_or(Extent::usual(preset));
+        let extent = match args.fill {
+            Some(range) => extent.with_fill(range).map_err(usage)?,
+            None => extent,
+        };
         let extent = match range {
             Some(range) => extent.with_stiffness(range).map_err(usage)?,
             None => extent,
@@ -72,12 +76,15 @@ pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
         ))
         .into());
     }
-    if args.particles.is_some() {
-        return Err(Usage::new(format_args!(
-            "--particles: preset {} has a fixed number of particles",
-            args.preset
-        ))
-        .into());
+    for (option, given) in [("particles", args.particles.is_some()), ("fill", args.fill.is_some())]
+    {
+        if given {
+            return Err(Usage::new(format_args!(
+                "--{option}: preset {} has a fixed number of particles",
+                args.preset
+            ))
+            .into());
+        }
     }
     let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
     let text = shipped.map_or("", |(_, text)| text);

@@ -39,6 +39,9 @@ pub struct SimulateJob {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     same_bodies: bool,
+    /// Range of the share of the domain that bodies of random scenes fill.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    fill: Option<[f32; 2]>,
     /// Range of the stiffness of random scenes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     stiffness: Option<[f32; 2]>,
@@ -66,6 +69,7 @@ impl SimulateJob {
             seed: request.seed,
             particles: extent.map(Extent::particles),
             same_bodies: extent.is_some_and(Extent::same_bodies),
+            fill: extent.and_then(Extent::fill),
             stiffness: extent.and_then(Extent::stiffness),
             settings: request.settings,
             fields: request.fields,
@@ -91,6 +95,10 @@ impl SimulateJob {
                         Extent::of(preset, particles)?
                     }
                     _ => Extent::usual(preset),
+                };
+                let extent = match self.fill {
+                    Some(range) => extent.with_fill(range)?,
+                    None => extent,
                 };
                 let extent = match self.stiffness {
                     Some(range) => extent.with_stiffness(range)?,
@@ -182,8 +190,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_job_keeps_the_range_of_the_stiffness() {
+    fn a_job_keeps_the_ranges_of_the_fill_and_the_stiffness() {
         let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e3]).unwrap();
+        let extent = extent.with_fill([0.1, 0.3]).unwrap();
         let request = SimulationRequest {
             source: Source::Random(extent),
             name: "kinds".to_owned(),

@@ -312,17 +312,17 @@ fn muon_takes_the_steps_of_the_cpu() {
     compare(&wide, &streams_of([[9, 8], [8, 9]]));
 }
 
-/// More particles than a block adds up at a time, and matrices that several blocks share.
+/// More particles than a block adds up at a time, of another number in each stream, and matrices that several blocks share.
 #[test]
 fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
     let mut config = config(Core::MinGru);
     config.network.channels = vec![36, 20, 24];
     config.windows.batch = 2;
-    compare(&config, &streams_of([[9, 8], [8, 9]]));
+    compare(&config, &streams_of([[9, 8], [6, 9]]));
 }
 
-/// A batch so large that a share of the gradients by weights has several frames, in a window that is longer than its warm-up; more
-/// columns of gates than a block has; a single frame.
+/// A batch so large that a share of the gradients by weights has several frames, in a window that is longer than its warm-up, of
+/// streams with different numbers of particles; more columns of gates than a block has; a single frame.
 #[test]
 fn large_batches_wide_gates_and_a_single_frame_take_the_steps_of_the_cpu() {
     let mut large = config(Core::MinGru);
@@ -331,7 +331,7 @@ fn large_batches_wide_gates_and_a_single_frame_take_the_steps_of_the_cpu() {
     large.network.layers = 1;
     large.network.channels = vec![3, 4];
     large.windows.batch = 64;
-    compare(&large, &streams());
+    compare(&large, &streams_of([[4, 3], [3, 5]]));
 
     let mut wide = config(Core::Gru);
     wide.network.hidden = 45;

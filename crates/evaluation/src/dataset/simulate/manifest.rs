@@ -39,6 +39,9 @@ pub(super) struct RecordedRequest {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) same_bodies: bool,
+    /// The range of the random share of the domain that bodies fill, unless scenes have the same number of particles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) fill: Option<[f32; 2]>,
     /// The range of the random stiffness of scenes, unless all have the preset's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) stiffness: Option<[f32; 2]>,

@@ -98,6 +98,7 @@ impl SimulationRequest {
             seed: self.seed,
             particles: self.source.unusual_particles(),
             same_bodies: self.source.same_bodies(),
+            fill: self.source.fill(),
             stiffness: self.source.stiffness(),
             settings: self.settings,
             fields: self.fields,

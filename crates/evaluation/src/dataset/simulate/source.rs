@@ -28,6 +28,14 @@ impl Source {
         matches!(self, Self::Random(extent) if extent.same_bodies())
     }
 
+    /// The range of the share of the domain that bodies of random scenes fill.
+    pub(super) fn fill(&self) -> Option<[f32; 2]> {
+        match self {
+            Self::Random(extent) => extent.fill(),
+            Self::Written(_) => None,
+        }
+    }
+
     /// The range of the stiffness of random scenes.
     pub(super) fn stiffness(&self) -> Option<[f32; 2]> {
         match self {
