@@ -32,7 +32,8 @@ pub struct ElasticRule {
     pub rebound: f32,
     /// Distance of any other particle below which a body moves as predicted (spacings at rest), 0 to 64.
     pub clear_distance: f32,
-    /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain.
+    /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain. In a network
+    /// that is conditioned on the stiffness, at most.
     pub most_stretch: f32,
 }
 
@@ -50,7 +51,8 @@ impl ElasticRule {
     }
 
     /// For jelly of another modulus. Where 25 steps are too few for elements 3.5 spacings wide, both grow: stiffer by r^2, jelly has elements
-    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticRule::MOST_STEPS`].
+    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticRule::MOST_STEPS`]. Its most strain is 1 / r of that, so that a body
+    /// that a prediction has squeezed or torn has no more energy to set free.
     #[must_use]
     pub fn with_modulus(mut self, modulus: f32, spacing: f32, dt: f32) -> Self {
         self.modulus = modulus;
@@ -59,6 +61,7 @@ impl ElasticRule {
         self.cell_width *= ratio.powf(2.0 / 3.0);
         let steps = (self.steps as f32 * ratio.cbrt()).ceil() as usize;
         self.steps = steps.min(Self::MOST_STEPS);
+        self.most_stretch = 1.0 + (self.most_stretch - 1.0) / ratio;
         self
     }
 

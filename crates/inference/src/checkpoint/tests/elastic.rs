@@ -77,16 +77,20 @@ fn elastic_constants_out_of_range_are_rejected_and_others_are_part_of_the_digest
     }
 }
 
-/// Any modulus from rubber to rock: elements stay as wide as they must be for steps that are accurate, and both grow together.
+/// Any modulus from rubber to rock: elements stay as wide as they must be for steps that are accurate, and both grow together. The elastic
+/// energy of a body that is about to count as torn stays the same.
 #[test]
-fn stiffer_jelly_has_wider_elements_and_more_steps() {
+fn stiffer_jelly_has_wider_elements_more_steps_and_less_strain() {
     let (spacing, dt) = (1.0 / 128.0, 0.016);
     let mut last = ElasticRule::new(30.0, spacing, dt);
-    assert_eq!((last.cell_width, last.steps), (3.5, 25));
+    assert_eq!((last.cell_width, last.steps, last.most_stretch), (3.5, 25, 1.25));
+    let energy = |rule: &ElasticRule| rule.modulus * (rule.most_stretch - 1.0).powi(2);
+    let most_energy = energy(&ElasticRule::new(300.0, spacing, dt));
     for modulus in [300.0, 3e3, 3e4, 3e6] {
         let rule = ElasticRule::new(modulus, spacing, dt);
         assert!(rule.is_stable(spacing, dt), "{rule:?}");
         assert!(rule.cell_width >= last.cell_width && rule.steps >= last.steps);
+        assert!((0.9..1.1).contains(&(energy(&rule) / most_energy)), "{rule:?}");
         last = rule;
     }
     assert!(last.cell_width > 40.0 && last.steps < ElasticRule::MOST_STEPS, "{last:?}");
