@@ -57,9 +57,9 @@ pub struct SceneArgs {
     /// Particles of a random scene; more particles make the domain wider, at the same spacing and height [default: 2500].
     #[arg(long, value_name = "N", conflicts_with = "scene")]
     pub particles: Option<usize>,
-    /// Share of the domain that bodies of a random scene fill: each has one of its own, uniform in this range, in the usual domain
+    /// Fraction of the unit square that the bodies of a random scene fill, drawn for each scene; LOW 0.02 to 0.15, HIGH up to 0.4
     /// [default: that of 2,500 particles, 0.153; preset fluid 0.038].
-    #[arg(long, value_name = "LOW..HIGH", conflicts_with_all = ["scene", "particles"], value_parser = range)]
+    #[arg(long, value_name = "LOW..HIGH", conflicts_with_all = ["scene", "particles", "same_bodies"], value_parser = range)]
     pub fill: Option<[f32; 2]>,
     /// All random scenes have the bodies of the first: the same materials, shapes and places. Only their velocities and the
     /// attractor differ.

@@ -184,15 +184,16 @@ fn scenes_of_a_random_fill_differ_in_their_numbers_of_particles() {
         .map(|bag| frames(&output.join(bag)).remove(0).len());
     assert!(counts.iter().all(|count| (819..4916).contains(count)), "{counts:?}");
     assert!(counts[0] != counts[1] && counts[1] != counts[2], "{counts:?}");
+    succeed(asked("0.05..0.3"));
     let said = fail(1, asked("0.05..0.2"));
-    assert!(said.contains("fill"), "{said}");
+    assert!(said.contains("fill [0.05,0.2] instead of [0.05,0.3]"), "{said}");
     let said = fail(2, asked("0.2..0.3"));
     assert!(
-        said.contains("--fill: found 0.2..0.3, expected 0.015 to 0.15, and a larger"),
+        said.contains("--fill: found 0.2..0.3, expected a range that begins at 0.02 to 0.15"),
         "{said}"
     );
     let said = fail(2, simulate(output, &["--preset", "dam-break", "--fill", "0.1..0.2"]));
-    assert!(said.contains("--fill: preset dam-break has a fixed number of particles"), "{said}");
+    assert!(said.contains("--fill: preset dam-break is a single scene"), "{said}");
 }
 
 #[test]

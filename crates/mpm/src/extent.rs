@@ -2,10 +2,7 @@
 //!
 //! Density, body sizes, fall heights and speeds are independent of the number of particles: the domain for more particles
 //! is wider, not higher, and contains several sets of bodies side by side, each like a scene of the default size. With a range of
-//! the fill the domain stays the unit square, and bodies are larger or smaller.
-
-use rand::RngExt as _;
-use rand_chacha::ChaCha8Rng;
+//! the fill, the domain stays the unit square, and bodies are larger or smaller.
 
 use super::{
     error::MpmError,
@@ -17,10 +14,11 @@ use super::{
 /// Minimum number of particles of a random scene: the smaller share of two materials is then a rope five particles thick
 /// and three times as long.
 const MIN_PARTICLES: usize = 250;
-/// Maximum fill: one body of liquid still fits, unless it is too long.
+/// Range of the lower end of a fill: from about [`MIN_PARTICLES`] on a grid of 64 x 64 cells, to one with which every scene finds
+/// places for its bodies, so that a fill that is drawn again and again fits in the end.
+const LOW_FILL: [f32; 2] = [0.02, 0.15];
+/// Maximum fill: a body of anything but rope still fits.
 const MAX_FILL: f32 = 0.4;
-/// Maximum lower end of a range of the fill: bodies of any kind find places.
-const MAX_LOW_FILL: f32 = 0.15;
 /// Maximum number of cells along x.
 const MAX_COLUMNS: usize = 65_535;
 
@@ -65,25 +63,29 @@ impl Extent {
         Self { same_bodies: true, ..self }
     }
 
-    /// The same with the usual domain, a random share of which bodies fill in each scene (their area over the domain's). A share
-    /// whose bodies find no place is drawn again, which happens to ropes above .2.
+    /// The same with bodies that fill a random fraction of the unit square, drawn for each scene: uniformly, and again if they do not
+    /// fit, so that large fractions are rarer with ropes and with several bodies.
     ///
     /// # Errors
-    /// [`MpmError::Field`] unless the range increases, from 250 particles or more and .15 or less to .4 at most.
+    /// [`MpmError::Field`] unless the range begins at .02 to .15 and ends above that, at .4 at most, or if the number of particles is
+    /// another than 2,500.
     pub fn with_fill(self, range: [f32; 2]) -> Result<Self, MpmError> {
         let [low, high] = range;
-        let least = MIN_PARTICLES as f32 * self.preset.spacing().powi(2);
-        if (least..=MAX_LOW_FILL).contains(&low) && low < high && high <= MAX_FILL {
-            return Ok(Self { particles: PARTICLES, fill: Some(range), ..self });
+        let [least, most] = LOW_FILL;
+        let fits = (least..=most).contains(&low) && low < high && high <= MAX_FILL;
+        if fits && self.particles == PARTICLES {
+            return Ok(Self { fill: Some(range), ..self });
         }
         Err(MpmError::Field {
             field: "fill".into(),
             found: format!("{low}..{high}"),
-            expected: format!("{least:.3} to {MAX_LOW_FILL}, and a larger number up to {MAX_FILL}"),
+            expected: format!(
+                "a range that begins at {least} to {most} and ends at {MAX_FILL} at most, without a number of particles"
+            ),
         })
     }
 
-    /// The range of the share of the domain that bodies fill, unless scenes have the same number of particles.
+    /// The range of the fraction of the domain that bodies fill, unless all scenes have the same number of particles.
     pub fn fill(&self) -> Option<[f32; 2]> {
         self.fill
     }
@@ -119,7 +121,7 @@ impl Extent {
         self.preset
     }
 
-    /// Number of particles; the usual one if the fill is random.
+    /// Number of particles; 2,500 if the fill is random, and scenes then differ.
     pub fn particles(&self) -> usize {
         self.particles
     }
@@ -136,11 +138,8 @@ impl Extent {
         self.particles.div_ceil(PARTICLES)
     }
 
-    /// Number of particles of a set of bodies. Sets differ by at most one, unless the fill is random.
-    pub(super) fn particles_of(&self, set: usize, rng: &mut ChaCha8Rng) -> usize {
-        if let Some([low, high]) = self.fill {
-            return (rng.random_range(low..high) / self.preset.spacing().powi(2)) as usize;
-        }
+    /// Number of particles of a set of bodies. Sets differ by at most one.
+    pub(super) fn particles_of(&self, set: usize) -> usize {
         let (each, over) = (self.particles / self.sets(), self.particles % self.sets());
         each + usize::from(set < over)
     }
@@ -153,13 +152,10 @@ impl Extent {
 
 #[cfg(test)]
 mod tests {
-    use rand::SeedableRng as _;
-
     use super::*;
 
     #[test]
     fn the_width_of_a_domain_is_proportional_to_its_particles_and_at_least_1() {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
         for (particles, width, sets) in [
             (250, 1.0, 1),
             (2500, 1.0, 1),
@@ -170,8 +166,7 @@ mod tests {
         ] {
             let extent = Extent::of(Preset::Kinds, particles).unwrap();
             assert_eq!((extent.grid().size(), extent.sets()), ([width, 1.0], sets), "{particles}");
-            let shares: Vec<usize> =
-                (0..sets).map(|set| extent.particles_of(set, &mut rng)).collect();
+            let shares: Vec<usize> = (0..sets).map(|set| extent.particles_of(set)).collect();
             assert_eq!(shares.iter().sum::<usize>(), particles);
             assert!(shares.iter().all(|share| shares[0] - share <= 1), "{shares:?}");
         }
@@ -182,11 +177,12 @@ mod tests {
         let usual = Extent::usual(Preset::Kinds);
         assert_eq!(usual.with_fill([0.02, 0.4]).unwrap().fill(), Some([0.02, 0.4]));
         for range in
-            [[0.01, 0.2], [0.2, 0.3], [0.1, 0.1], [0.1, 0.05], [0.1, 0.41], [f32::NAN, 0.2]]
+            [[0.019, 0.2], [0.151, 0.3], [0.1, 0.1], [0.1, 0.05], [0.1, 0.41], [f32::NAN, 0.2]]
         {
             let said = usual.with_fill(range).unwrap_err().to_string();
             assert!(said.starts_with("fill: found "), "{said}");
         }
+        assert!(Extent::of(Preset::Kinds, 10_000).unwrap().with_fill([0.1, 0.2]).is_err());
     }
 
     #[test]

@@ -95,8 +95,8 @@ fn arrange_all(extent: &Extent, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
     let mut placement = Placement::new(extent.grid());
     (0..extent.sets())
         .flat_map(|set| {
-            // Bodies fill at most a fifth of the region between the walls, or their fill is drawn again, too, so this terminates:
-            // none of the first thousand scenes needs more than a few draws.
+            // Bodies fill at most a fifth of the region between the walls, so this terminates: none of the first thousand
+            // scenes needs more than a few draws. A random fill, which is drawn again with the bodies, begins at about that.
             loop {
                 if let Some(found) = arrange(extent, set, id, &mut placement, rng) {
                     break found;
@@ -141,8 +141,12 @@ fn arrange(
 
 /// The bodies of a set, not yet placed. The sets of a wide scene correspond to the next scenes of the same kind.
 fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> Vec<Body> {
-    let (preset, particles) = (extent.preset(), extent.particles_of(set, rng));
+    let preset = extent.preset();
     let (id, spacing) = (id as usize, preset.spacing());
+    let particles = match extent.fill() {
+        Some([low, high]) => (rng.random_range(low..high) / (spacing * spacing)) as usize,
+        None => extent.particles_of(set),
+    };
     match preset {
         Preset::MultiMaterial | Preset::Stiff => {
             mixed_bodies(MIXES[(id + set) % MIXES.len()], particles, spacing, rng)
@@ -331,7 +335,10 @@ mod tests {
     fn scenes_of_a_random_fill_have_it_in_the_usual_domain() {
         for preset in PRESETS {
             let [low, high] = [0.05, 0.4];
-            let extent = Extent::usual(preset).with_fill([low, high]).unwrap();
+            let of = |range| Extent::usual(preset).with_fill(range).unwrap();
+            // The fullest that is allowed ends, too.
+            (0..20).for_each(|id| drop(Scene::generate_in(&of([0.15, high]), 1, id)));
+            let extent = of([low, high]);
             let fills: Vec<f32> = (0..60)
                 .map(|id| {
                     let scene = Scene::generate_in(&extent, 1, id);
@@ -342,7 +349,7 @@ mod tests {
                 })
                 .collect();
             assert!(fills.iter().all(|fill| (0.99 * low..high).contains(fill)), "{fills:?}");
-            // A third of them each would be uniform, but ropes do not fit where the fill is large.
+            // Twenty each if the fill of every scene fitted.
             for part in [0.05..0.165, 0.165..0.28, 0.28..0.4] {
                 let count = fills.iter().filter(|fill| part.contains(*fill)).count();
                 assert!(count >= 3, "{preset}: {count} in {part:?}");

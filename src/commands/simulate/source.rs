@@ -69,22 +69,21 @@ pub(super) fn source(args: &SceneArgs) -> anyhow::Result<Source> {
     if let Some(file) = &args.scene {
         return Ok(Source::Written(Box::new(config::load_like(file, &Scene::default())?)));
     }
-    if args.same_bodies {
-        return Err(Usage::new(format_args!(
-            "--same-bodies: preset {} is a single scene",
-            args.preset
-        ))
-        .into());
-    }
-    for (option, given) in [("particles", args.particles.is_some()), ("fill", args.fill.is_some())]
-    {
+    for (option, given) in [("same-bodies", args.same_bodies), ("fill", args.fill.is_some())] {
         if given {
             return Err(Usage::new(format_args!(
-                "--{option}: preset {} has a fixed number of particles",
+                "--{option}: preset {} is a single scene",
                 args.preset
             ))
             .into());
         }
+    }
+    if args.particles.is_some() {
+        return Err(Usage::new(format_args!(
+            "--particles: preset {} has a fixed number of particles",
+            args.preset
+        ))
+        .into());
     }
     let shipped = SHIPPED.iter().find(|(name, _)| *name == args.preset);
     let text = shipped.map_or("", |(_, text)| text);

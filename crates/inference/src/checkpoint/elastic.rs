@@ -32,14 +32,16 @@ pub struct ElasticRule {
     pub rebound: f32,
     /// Distance of any other particle below which a body moves as predicted (spacings at rest), 0 to 64.
     pub clear_distance: f32,
-    /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain. In a network
-    /// that is conditioned on the stiffness, at most.
+    /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain; in a
+    /// network that is conditioned on the stiffness, at most.
     pub most_stretch: f32,
 }
 
 impl ElasticRule {
     /// The most steps per frame.
     pub const MOST_STEPS: usize = lattice::MOST_STEPS;
+    /// Modulus up to which the maximum stretch is as given: that of jelly at E = 1e3 (density x velocity^2).
+    const SOFT_MODULUS: f32 = 300.0;
     /// Steps in the time that a pressure wave takes to cross an element, with which they are accurate.
     const ACCURATE_STEPS: f32 = 2.25;
     /// Width that the stiffness of walls refers to: two parts of a surface (spacings at rest).
@@ -51,8 +53,8 @@ impl ElasticRule {
     }
 
     /// For jelly of another modulus. Where 25 steps are too few for elements 3.5 spacings wide, both grow: stiffer by r^2, jelly has elements
-    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticRule::MOST_STEPS`]. Its most strain is 1 / r of that, so that a body
-    /// that a prediction has squeezed or torn has no more energy to set free.
+    /// wider by r^(2/3), and r^(1/3) times as many steps, at most [`ElasticRule::MOST_STEPS`]. The maximum strain falls with the root of the
+    /// modulus from that of soft matter on, so that a stretched body, however stiff, has no more elastic energy to set free.
     #[must_use]
     pub fn with_modulus(mut self, modulus: f32, spacing: f32, dt: f32) -> Self {
         self.modulus = modulus;
@@ -61,7 +63,8 @@ impl ElasticRule {
         self.cell_width *= ratio.powf(2.0 / 3.0);
         let steps = (self.steps as f32 * ratio.cbrt()).ceil() as usize;
         self.steps = steps.min(Self::MOST_STEPS);
-        self.most_stretch = 1.0 + (self.most_stretch - 1.0) / ratio;
+        let softness = (Self::SOFT_MODULUS / modulus).sqrt().min(1.0);
+        self.most_stretch = 1.0 + softness * (self.most_stretch - 1.0);
         self
     }
 

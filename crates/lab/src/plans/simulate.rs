@@ -39,7 +39,7 @@ pub struct SimulateJob {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     same_bodies: bool,
-    /// Range of the share of the domain that bodies of random scenes fill.
+    /// Range of the fraction of the domain that the bodies of a random scene fill.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fill: Option<[f32; 2]>,
     /// Range of the stiffness of random scenes.
@@ -85,6 +85,8 @@ impl SimulateJob {
     fn request(&self) -> anyhow::Result<SimulationRequest> {
         let twice = self.stiffness.is_some() && self.settings.stiffness.is_some();
         ensure!(!twice, "job: found stiffness and settings.stiffness, expected one of them");
+        let alike = self.fill.is_some() && self.same_bodies;
+        ensure!(!alike, "job: found fill and same_bodies, expected one of them");
         let source = match &self.scene {
             Some(scene) => Source::Written(Box::new(scene.clone())),
             None => {

@@ -312,7 +312,7 @@ fn muon_takes_the_steps_of_the_cpu() {
     compare(&wide, &streams_of([[9, 8], [8, 9]]));
 }
 
-/// More particles than a block adds up at a time, of another number in each stream, and matrices that several blocks share.
+/// More particles than a block adds up at a time, with different numbers of them in the two streams, and matrices that several blocks share.
 #[test]
 fn sums_over_many_particles_and_wide_layers_are_those_of_the_cpu() {
     let mut config = config(Core::MinGru);

@@ -38,7 +38,7 @@ pub enum SimulateError {
     /// The scenes simulated in parallel do not fit into memory.
     #[error(
         "memory: {} needed ({particles:.1e} particles, {} x {} cells, {at_once} at once), {} available; \
-         increase the spacing, reduce the domain, --particles or --threads",
+         increase the spacing, reduce the domain, --particles, --fill or --threads",
         bytes(*needed), cells[0], cells[1], bytes(*free)
     )]
     Memory {

@@ -39,7 +39,7 @@ pub(super) struct RecordedRequest {
     /// Whether all random scenes have the same bodies.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub(super) same_bodies: bool,
-    /// The range of the random share of the domain that bodies fill, unless scenes have the same number of particles.
+    /// The range of the random fraction of the domain that bodies fill, unless all scenes have the same number of particles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) fill: Option<[f32; 2]>,
     /// The range of the random stiffness of scenes, unless all have the preset's.
@@ -164,7 +164,9 @@ impl Manifest {
         if self.request == *request {
             return Ok(self);
         }
-        let [there, here] = [&self.request, request].map(serde_json::to_value);
+        // Through text, since a value made directly has single-precision numbers with the digits of double precision.
+        let value = |request| serde_json::from_str(&serde_json::to_string(request)?);
+        let [there, here] = [&self.request, request].map(value);
         let invalid = |reason| SimulateError::NoManifest { file: file.clone(), reason };
         let (there, here) = (there.map_err(invalid)?, here.map_err(invalid)?);
         let mut fields = Vec::new();

@@ -28,7 +28,7 @@ impl Source {
         matches!(self, Self::Random(extent) if extent.same_bodies())
     }
 
-    /// The range of the share of the domain that bodies of random scenes fill.
+    /// The range of the fraction of the domain that the bodies of a random scene fill.
     pub(super) fn fill(&self) -> Option<[f32; 2]> {
         match self {
             Self::Random(extent) => extent.fill(),
