@@ -192,7 +192,7 @@ fn a_checkpoint_without_some_rules_has_another_name_digest_and_error() {
     assert_eq!(whole["name"], "particle-mingru");
     assert_eq!(off["name"], "particle-mingru without area, rest", "in the order in which they run");
     assert_ne!(off["digest"], whole["digest"]);
-    let all = ["--without-rules", "area,shape,flight,rest"];
+    let all = ["--without-rules", "elastic,area,shape,flight,rest"];
     let (none, never) = (entry(SHIPPED, &all), entry(&bare, &[]));
     assert_eq!(none["digest"], never["digest"], "switched off is as never there");
     assert_eq!(none["skill"], never["skill"]);
