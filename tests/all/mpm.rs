@@ -186,7 +186,7 @@ fn scenes_of_a_random_fill_differ_in_their_numbers_of_particles() {
     assert!(counts[0] != counts[1] && counts[1] != counts[2], "{counts:?}");
     succeed(asked("0.05..0.3"));
     let said = fail(1, asked("0.05..0.2"));
-    assert!(said.contains("fill [0.05,0.2] instead of [0.05,0.3]"), "{said}");
+    assert!(said.contains("fill [0.05,0.3] instead of [0.05,0.2]"), "{said}");
     let said = fail(2, asked("0.2..0.3"));
     assert!(
         said.contains("--fill: found 0.2..0.3, expected a range that begins at 0.02 to 0.15"),

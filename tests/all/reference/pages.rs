@@ -127,8 +127,8 @@ pub fn checkpoint() -> String {
     let mut keys = rows(&source, source.item("Description"), "");
     let version = shipped.description.format_version;
     keys[0].docs = format!(
-        "Version of the format: {version}. Version 1, without `rules`, is also read; its particle models have all rules, with \
-         the constants of the shipped model."
+        "Version of the format: {version}. Version 1, without `rules`, is also read; its particle models have the rules `area`, \
+         `shape`, `flight` and `rest`, and `area` removes all of the excess in a frame."
     );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, the description of the network, and `model.safetensors`, its weights: f32, or f16 \
