@@ -29,7 +29,7 @@ use std::{
 };
 
 use eddy_frames::progress::Progress;
-use eddy_mpm::{Accelerator, MpmError, Scene, Settings, Simulation};
+use eddy_mpm::{Accelerator, Extent, MpmError, Scene, Settings, Simulation};
 pub use error::SimulateError;
 pub(crate) use manifest::ScenesBeside;
 pub use manifest::{EnergyCurve, Finished, Start, recorded_scenes};
@@ -92,14 +92,15 @@ impl SimulationRequest {
 
     /// The part that the manifest records.
     fn recorded(&self) -> RecordedRequest {
+        let extent = self.source.extent();
         RecordedRequest {
             eddy: env!("CARGO_PKG_VERSION").into(),
             scene: self.name.clone(),
             seed: self.seed,
             particles: self.source.unusual_particles(),
-            same_bodies: self.source.same_bodies(),
-            fill: self.source.fill(),
-            stiffness: self.source.stiffness(),
+            same_bodies: extent.is_some_and(Extent::same_bodies),
+            fill: extent.and_then(Extent::fill),
+            stiffness: extent.and_then(Extent::stiffness),
             settings: self.settings,
             fields: self.fields,
             device: self.device.map(Into::into),
