@@ -23,6 +23,9 @@ REBOUNDING = 0.1
 CONNECTED, FASTEST = 1.5, 64.0
 # Strain that tears a body while walls push it, relative to that of a free one.
 PUSHED_STRAIN = 2
+# Squared error of the nodes in the last frame at most, relative to the square of what they were moved beside free fall; error
+# that is always allowed (spacings).
+MOST_ERROR, SMALL_ERROR = 0.1, 0.035
 CORNERS = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -57,6 +60,8 @@ class Lattice:
         used[(grids[..., 1] * (self.cells[0] + 1) + grids[..., 0]).flatten()] = True
         self.values = self.values[:, used]
         self.mass = self.values.sum(0).clamp(min=LIGHTEST * full)
+        # Of the nodes in the coming frame, and the largest sum of mass x squared distance from there; none is expected first.
+        self.expected: tuple[Tensor, float] | None = None
         quarters, self.count = self.parts(rest, 2 * self.cells)[:2]
         _, gradients = self.shape(quarters)
         self.gradients = gradients[:, used]  # [Q, M, 2]
@@ -97,6 +102,10 @@ class Lattice:
         """Positions and velocities of the nodes, [M, 2] each."""
         x, v = torch.linalg.lstsq(self.values, torch.cat([position, velocity], 1)).solution.split(2, 1)
         return x, v
+
+    def distance(self, one: Tensor, other: Tensor) -> float:
+        """Sum of mass x squared distance of nodes, [M, 2] each."""
+        return float((self.mass * (one - other).square().sum(1)).sum())
 
     def forces(self, x: Tensor, v: Tensor, law: "Elastic", step: float) -> Tensor:
         """Those of stress and walls on the nodes, [M, 2]."""
@@ -152,7 +161,7 @@ class Elastic:
         return [(own, Lattice(rest[own].double(), self.spacing, self.options)) for own in rows if len(own) >= FEWEST]
 
     def move(self, position: Tensor, velocity: Tensor, lattice: Lattice) -> Bodies | None:
-        """A body's particles one frame later, [P, 2] each; none if its lattice diverges."""
+        """A body's particles one frame later, [P, 2] each; none if its lattice diverges. Its nodes are then expected there."""
         x0, v0 = x, v = lattice.fit(position, velocity)
         step = self.dt / self.steps
         for _ in range(self.steps):
@@ -163,18 +172,22 @@ class Elastic:
         if not bool((faster.abs() <= FASTEST).all()):
             return None
         farther = x - x0 - (v0 + faster + fallen / 2) * self.dt
+        small = len(position) * (SMALL_ERROR * self.spacing) ** 2
+        lattice.expected = x, MOST_ERROR * lattice.distance(x, x0 + (v0 + fallen / 2) * self.dt) + small
         velocity = velocity + lattice.values @ faster
         moved = position + (velocity + fallen / 2) * self.dt + lattice.values @ farther
         return moved.clamp(*self.walls), velocity + fallen
 
     def replace(self, shown: Bodies, next: Bodies, lattices: list[tuple[Tensor, Lattice]]) -> Bodies:
-        """The prediction `next` after `shown`, [N, 2] each, with the motion of bodies of jelly that are whole and nothing else is close to."""
+        """The prediction `next` after `shown`, [N, 2] each, with the motion of bodies of jelly that are whole, nothing else is close to, and
+        whose nodes are where they were expected."""
         position, velocity = (track.double() for track in shown)
         to, speed = (track.clone() for track in next)
         for rows, lattice in lattices:
             is_other = torch.ones(len(position), dtype=torch.bool)
             is_other[rows] = False
             nodes = lattice.fit(position[rows], velocity[rows])[0]
+            expected, lattice.expected = lattice.expected, None
             stretch = torch.linalg.svdvals(torch.einsum("mi,qmj->qij", nodes, lattice.gradients))[:, 0]
             parts = lattice.weights @ nodes
             pushed = bool(((parts < self.lower) | (parts > self.upper)).any())
@@ -184,6 +197,6 @@ class Elastic:
             if bool((torch.cdist(position[is_other], parts) < self.options["clear_distance"] * self.spacing).any()):
                 continue
             moved = self.move(position[rows], velocity[rows], lattice)
-            if moved is not None:
+            if moved is not None and (expected is None or lattice.distance(nodes, expected[0]) <= expected[1]):
                 to[rows], speed[rows] = (track.to(to) for track in moved)
         return to, speed

@@ -23,7 +23,8 @@ use eddy_inference::{
     engine::{Accelerator, StepRequest, Surrogate},
 };
 use streams::{
-    checkpoint, description, elastic, frames, jelly, largest_difference, predict, threads,
+    checkpoint, description, elastic, frames, jelly, largest_difference, predict, predict_alone,
+    pushed_jelly, threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -101,12 +102,17 @@ fn jelly_moves_by_its_elasticity_as_it_does_on_the_processor() {
         let plain = Description { stiffness, rules, ..small(Core::MinGru).description };
         let checkpoint_of = |description| checkpoint(description, 3);
         let checkpoint = checkpoint_of(elastic(&plain));
-        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
-        let found = predict(&emulated(&checkpoint), &frames);
-        let plain = checkpoint_of(plain);
-        let without = predict(&Surrogate::load(&plain, threads(1)).unwrap(), &frames);
+        let processor = Surrogate::load(&checkpoint, threads(1)).unwrap();
+        let device = emulated(&checkpoint);
+        let expected = predict_alone(&processor, &frames);
+        let found = predict_alone(&device, &frames);
+        let plain = Surrogate::load(&checkpoint_of(plain), threads(1)).unwrap();
+        let without = predict_alone(&plain, &frames);
         assert!(apart(&without[3], &expected[3]) > 0.1, "the rule moves jelly");
-        for (number, (found, expected)) in found.iter().zip(&expected).enumerate() {
+        let pushed = pushed_jelly(&processor);
+        let [in_stream, on_device] = [&processor, &device].map(|of| predict(of, &pushed));
+        let pairs = found.iter().chain(&on_device).zip(expected.iter().chain(&in_stream));
+        for (number, (found, expected)) in pairs.enumerate() {
             let apart = apart(found, expected);
             // A position's rounding, 6e-8, gives an element 0.07 wide a velocity of 6e-5 within a frame.
             assert!(apart <= 2e-4, "conditioned: {stiffness}, frame {number}: {apart} apart");

@@ -29,7 +29,7 @@ struct Lattice {
   const LatticePart* parts;
   u32 particle_count, node_count, point_count, part_count;
   u32 first_node, first_force; // of its scratch memory
-  float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, clear_distance, most_stretch;
+  float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, clear_distance, most_stretch, small_error;
   int steps;
 };
 #define ELASTIC_THREADS 512
@@ -38,6 +38,10 @@ struct Lattice {
 #define REBOUNDING 0.1f
 // Strain that tears a body while walls push it, relative to that of a free one: `PUSHED_STRAIN`.
 #define PUSHED_STRAIN 2.0f
+// Squared error of the nodes in the last frame at most, relative to the square of what they were moved beside free fall: `MOST_ERROR`.
+#define MOST_ERROR 0.1f
+// The largest error where nothing is expected.
+#define NOTHING_EXPECTED 3.4e38f
 
 // The larger stretch at a point.
 __device__ __forceinline__ float stretch(const LatticePoint& point, const Body* nodes) {
@@ -134,7 +138,26 @@ __device__ __forceinline__ void push(const Lattice& law, const float* lower, con
   }
 }
 
-// The motion of body number `number` of a stream by a block of ELASTIC_THREADS, to the prediction: nothing while another particle is close, or if it is torn.
+// The sum of a block of ELASTIC_THREADS, always in the same order.
+__device__ __forceinline__ float elastic_sum(float own) {
+  __shared__ float sums[ELASTIC_THREADS];
+  __syncthreads();
+  sums[threadIdx.x] = own;
+  for (int half = ELASTIC_THREADS / 2; half > 0; half /= 2) {
+    __syncthreads();
+    if (threadIdx.x < half) sums[threadIdx.x] += sums[threadIdx.x + half];
+  }
+  __syncthreads();
+  return sums[0];
+}
+// Mass x squared distance of a node from a place.
+__device__ __forceinline__ float node_distance(const Lattice& l, u32 node, const Body& own, const float* place) {
+  const float x = own.x[0] - place[0], y = own.x[1] - place[1];
+  return (x * x + y * y) / l.inverse_mass[node];
+}
+
+// The motion of body number `number` of a stream by a block of ELASTIC_THREADS, to the prediction: nothing while another particle is close, if it is torn,
+// or if its nodes are not where they were expected.
 __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l, u32 number) {
   const u32 particles = l.particle_count, nodes = l.node_count, points = l.point_count, parts = l.part_count;
   Body *now = s.lattice_nodes + 2 * l.first_node, *start = now + nodes;
@@ -163,7 +186,16 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     start[node] = sum;
   }
   __syncthreads();
-  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) now[node] = start[node];
+  float* places_expected = s.lattice_places + 2 * l.first_node;
+  float error = 0.0f;
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
+    now[node] = start[node];
+    error += node_distance(l, node, start[node], places_expected + 2 * node);
+  }
+  error = elastic_sum(error);
+  const float most_error = s.begun ? s.lattice_errors[number] : NOTHING_EXPECTED;
+  __syncthreads();
+  if (threadIdx.x == 0) s.lattice_errors[number] = NOTHING_EXPECTED;
   __shared__ int stops, is_pushed;
   if (threadIdx.x == 0) stops = is_pushed = 0;
   const float lower[2] = {s.wall_lower[0] + l.wall_distance, s.wall_lower[1] + l.wall_distance};
@@ -226,23 +258,30 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     }
     __syncthreads();
   }
+  float claim = 0.0f;
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
     const Body from = start[node], to = now[node];
     Body impulse;
+    float fallen[2];
 #pragma unroll
     for (int a = 0; a < 2; a++) {
       const float change = to.v[a] - from.v[a] - s.fall[a];
+      fallen[a] = from.x[a] + (from.v[a] + 0.5f * s.fall[a]) * s.dt;
+      places_expected[2 * node + a] = to.x[a];
       impulse.v[a] = change;
       impulse.x[a] = to.x[a] - from.x[a] - (from.v[a] + change + 0.5f * s.fall[a]) * s.dt;
       // A lattice that has diverged moves nothing.
       if (!(fabsf(change) <= FASTEST)) stops = 1;
     }
+    claim += node_distance(l, node, to, fallen);
     start[node] = impulse;
   }
-  __syncthreads();
+  claim = elastic_sum(claim);
   const int diverged = stops;
   __syncthreads();
   if (diverged) return;
+  if (threadIdx.x == 0) s.lattice_errors[number] = MOST_ERROR * claim + (float)particles * l.small_error * l.small_error;
+  if (!(error <= most_error)) return;
   for (u32 k = threadIdx.x; k < particles; k += ELASTIC_THREADS) {
     Body impulse = zero_body(), next = s.bodies[l.rows[k]];
 #pragma unroll

@@ -36,8 +36,8 @@ struct DeviceLattice {
     rebound: f32,
     clear_distance: f32,
     most_stretch: f32,
+    small_error: f32,
     steps: u32,
-    _unused: u32,
 }
 const _: () = assert!(size_of::<DeviceLattice>() == 8 * 10 + 4 * 16);
 // SAFETY: numbers without padding between them, as the size shows.
@@ -141,7 +141,8 @@ fn on_device(
     words: Address,
 ) -> DeviceLattice {
     let Elasticity { lame, viscosity, wall_distance, wall_stiffness, .. } = *lattice.elasticity();
-    let Elasticity { rebound, clear_distance, most_stretch, steps, .. } = *lattice.elasticity();
+    let Elasticity { rebound, clear_distance, most_stretch, small_error, steps, .. } =
+        *lattice.elasticity();
     DeviceLattice {
         lists: lists.map(|list| words.plus(list).0),
         particles: lattice.rows().len() as u32,
@@ -157,8 +158,8 @@ fn on_device(
         rebound,
         clear_distance,
         most_stretch,
+        small_error,
         steps: steps as u32,
-        _unused: 0,
     }
 }
 

@@ -41,6 +41,8 @@ const BODY_SUMS: usize = 4 * 17 + 2 + 4 + 2;
 pub(super) struct Row {
     hidden: u64,
     expected: u64,
+    lattice_places: u64,
+    lattice_errors: u64,
     first: u64,
     links: u64,
     neighbours: u64,
@@ -96,7 +98,7 @@ pub(super) struct Row {
     stiffness: f32,
 }
 
-const _: () = assert!(size_of::<Row>() == 8 * (37 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
+const _: () = assert!(size_of::<Row>() == 8 * (39 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
 // SAFETY: integers and numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for Row {}
 // SAFETY: as above.
@@ -328,7 +330,7 @@ struct Fixed {
 pub struct Memory {
     device: Arc<dyn Device>,
     fixed: Arc<Fixed>,
-    /// The core's outputs and cells, and the velocities that the ballistic step expects.
+    /// The core's outputs and cells, the velocities that the ballistic step expects, and what the lattices expect.
     buffer: Buffer,
     particles: usize,
     /// Whether a frame was observed.
@@ -343,8 +345,9 @@ impl Memory {
     ) -> Result<Self> {
         let particles = stream.material.len();
         let states = constants.states() * particles * constants.hidden_columns();
-        let buffer = device.allocate(4 * (states + 2 * particles).max(1))?;
         let fixed = Arc::new(Fixed::new(&*device, stream)?);
+        let expected = fixed.lattices.as_ref().map_or(0, |own| 2 * own.scratch[0] + own.bodies);
+        let buffer = device.allocate(4 * (states + 2 * particles + expected).max(1))?;
         Ok(Self { device, fixed, buffer, particles, begun: AtomicBool::new(false) })
     }
 
@@ -394,9 +397,13 @@ impl Memory {
             let first = (low.ceil() as i32).clamp(1, most);
             [first, (high.floor() as i32 + 1).clamp(first, most)]
         });
+        let expected = self.buffer.address().plus(states);
+        let places = expected.plus(2 * self.particles);
         Row {
             hidden: self.buffer.address().0,
-            expected: self.buffer.address().plus(states).0,
+            expected: expected.0,
+            lattice_places: places.0,
+            lattice_errors: places.plus(2 * size.lattices[0]).0,
             first: self.fixed.first,
             links: self.fixed.links,
             neighbours: self.fixed.neighbours,
@@ -432,7 +439,7 @@ impl StreamMemory for Memory {
         self.device.clear(Queue::Main, &self.buffer)
     }
 
-    /// Outputs and cells, expected velocities, and whether a frame was observed.
+    /// Outputs and cells, what is expected, and whether a frame was observed.
     fn numbers(&self) -> Result<Vec<f32>> {
         let mut numbers = vec![0f32; self.buffer.bytes() / 4];
         self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut numbers))?;

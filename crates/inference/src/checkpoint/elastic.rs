@@ -37,6 +37,10 @@ pub struct ElasticRule {
     pub most_stretch: f32,
 }
 
+/// Error of a lattice in the last frame up to which it moves its body in any case (root of the mean square over the nodes, spacings at rest): more
+/// than all errors of whole bodies that nothing else acts on are, and less than gravity's effect in a frame.
+const SMALL_ERROR: f32 = 0.035;
+
 impl ElasticRule {
     /// The most steps per frame.
     pub const MOST_STEPS: usize = lattice::MOST_STEPS;
@@ -104,6 +108,7 @@ impl ElasticRule {
             rebound,
             clear_distance: self.clear_distance * spacing,
             most_stretch: self.most_stretch,
+            small_error: SMALL_ERROR * spacing,
             steps,
             dt,
             gravity,

@@ -5,7 +5,10 @@ use std::sync::Arc;
 use super::{DeviceState, order::spatial_order, scales::stiffness_feature, stepper::Network};
 use crate::{
     checkpoint::{Core, Description, GridOptions},
-    kernels::{lattice::Lattices, rest_shape::RestShape},
+    kernels::{
+        lattice::{Expected, Lattices},
+        rest_shape::RestShape,
+    },
 };
 use eddy_frames::Frame;
 
@@ -48,6 +51,8 @@ pub struct HiddenState {
     pub(super) rest: Arc<RestShape>,
     /// The lattices of its jelly, if the rule `elastic` is on; else empty.
     pub(super) lattices: Arc<Lattices>,
+    /// What they expect of the coming frame.
+    pub(super) expected_nodes: Expected,
     /// The feature of the stream's stiffness, if the network is conditioned on it.
     pub(super) stiffness: Option<f32>,
     /// The network with the weights for that stiffness, if those of the surrogate depend on it.
@@ -91,6 +96,7 @@ impl HiddenState {
             order: Arc::new(order),
             material,
             rest: Arc::new(rest),
+            expected_nodes: lattices.expected(),
             lattices: Arc::new(lattices),
             stiffness: stiffness.map(stiffness_feature),
             network: None,
@@ -109,6 +115,7 @@ impl HiddenState {
             material,
             rest: Arc::default(),
             lattices: Arc::default(),
+            expected_nodes: Expected::default(),
             stiffness: None,
             network: None,
             hidden: Vec::new(),
@@ -129,6 +136,7 @@ impl HiddenState {
         self.hidden.fill(0.0);
         self.cell.fill(0.0);
         self.expected_velocity.fill([0.0; 2]);
+        self.expected_nodes.forget();
         self.begun = false;
         if let Some(device) = &mut self.device {
             device.forget();
@@ -143,6 +151,7 @@ impl Clone for HiddenState {
             material: self.material.clone(),
             rest: Arc::clone(&self.rest),
             lattices: Arc::clone(&self.lattices),
+            expected_nodes: self.expected_nodes.clone(),
             stiffness: self.stiffness,
             network: self.network.clone(),
             hidden: self.hidden.clone(),
@@ -159,6 +168,7 @@ impl Clone for HiddenState {
             material,
             rest,
             lattices,
+            expected_nodes,
             stiffness,
             network,
             hidden,
@@ -171,6 +181,7 @@ impl Clone for HiddenState {
         material.clone_from(&other.material);
         *rest = Arc::clone(&other.rest);
         *lattices = Arc::clone(&other.lattices);
+        expected_nodes.clone_from(&other.expected_nodes);
         *stiffness = other.stiffness;
         network.clone_from(&other.network);
         hidden.clone_from(&other.hidden);
@@ -192,6 +203,7 @@ impl PartialEq for HiddenState {
             rest,
             // Determined by the rest shape.
             lattices: _,
+            expected_nodes,
             stiffness,
             // That of the stiffness.
             network: _,
@@ -203,8 +215,8 @@ impl PartialEq for HiddenState {
         } = self;
         (order, material, rest, stiffness)
             == (&other.order, &other.material, &other.rest, &other.stiffness)
-            && (hidden, cell, expected_velocity)
-                == (&other.hidden, &other.cell, &other.expected_velocity)
+            && (hidden, cell, expected_velocity, expected_nodes)
+                == (&other.hidden, &other.cell, &other.expected_velocity, &other.expected_nodes)
             && *begun == other.begun
             && device.as_deref() == other.device.as_deref()
     }

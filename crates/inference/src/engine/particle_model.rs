@@ -223,7 +223,12 @@ impl ParticleModel {
             cell: DisjointSlice::new(&mut hidden_state.cell),
             expected_velocity: DisjointSlice::new(&mut hidden_state.expected_velocity),
             predicted,
-            correction: self.rules.begin(rules, observed, predicted),
+            correction: self.rules.begin(
+                rules,
+                observed,
+                &mut hidden_state.expected_nodes,
+                predicted,
+            ),
         };
         let stages = self.stages.iter().map(|&stage| context.items(stage));
         pool.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));

@@ -78,12 +78,15 @@ pub(super) fn elastic(description: &Description) -> Description {
     Description { rules, ..description.clone() }
 }
 
+/// Particles of each of its bodies.
+pub(super) const JELLY: usize = 14 * 9;
+
 /// Four bodies of 14 x 9 particles: jelly that falls to the floor; jelly that touches it, turns, and is stretched more and more; liquid; and
 /// jelly that lies on it.
 pub(super) fn jelly(count: u32) -> Vec<Frame> {
     const SPACING: f32 = 0.02;
     let block = |corner: [f32; 2]| {
-        (0..14 * 9).map(move |k| {
+        (0..JELLY).map(move |k| {
             let at = [(k % 14) as f32, (k / 14) as f32];
             [0, 1].map(|axis| corner[axis] + SPACING * at[axis])
         })
@@ -98,7 +101,7 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
             let [x, y] = [stretch * (x - 0.69), y - 0.2];
             [0.69 + cos * x - sin * y, 0.2 + sin * x + cos * y]
         };
-        let place = |(row, &x): (usize, &[f32; 2])| match row / 126 {
+        let place = |(row, &x): (usize, &[f32; 2])| match row / JELLY {
             0 => [x[0], x[1] - 0.01 * time as f32],
             1 => turned(x),
             _ => x,
@@ -111,7 +114,7 @@ pub(super) fn jelly(count: u32) -> Vec<Frame> {
             domain: Domain::UNIT,
             position: rest.iter().enumerate().map(place).collect(),
             velocity: rest.iter().map(|[x, y]| [0.5 * y, -1.5 - x]).collect(),
-            material: kinds.iter().flat_map(|&kind| [kind; 126]).collect(),
+            material: kinds.iter().flat_map(|&kind| [kind; JELLY]).collect(),
         }
     };
     (0..count).map(frame).collect()
@@ -147,8 +150,34 @@ pub(super) fn stiffness(description: &Description, first: &Frame) -> Option<f32>
 
 /// The prediction after each frame of a stream.
 pub(super) fn predict(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
+    predict_each(surrogate, frames, false)
+}
+
+/// The predictions of each frame as if the stream was interrupted before it.
+pub(super) fn predict_alone(surrogate: &Surrogate, frames: &[Frame]) -> Vec<Frame> {
+    predict_each(surrogate, frames, true)
+}
+
+fn predict_each(surrogate: &Surrogate, frames: &[Frame], forgets: bool) -> Vec<Frame> {
     let stiffness = stiffness(surrogate.description(), &frames[0]);
     let mut hidden = surrogate.start_with_stiffness(&frames[0], stiffness).unwrap();
     let mut stepper = surrogate.stepper();
-    frames.iter().map(|frame| stepper.step(&mut hidden, frame)).collect()
+    let step = |frame: &Frame| {
+        if forgets {
+            hidden.forget();
+        }
+        stepper.step(&mut hidden, frame)
+    };
+    frames.iter().map(step).collect()
+}
+
+/// Jelly that moves as a surrogate with the rule `elastic` predicts, until the first body, of [`JELLY`] particles, is pushed in the last of three
+/// frames.
+pub(super) fn pushed_jelly(surrogate: &Surrogate) -> Vec<Frame> {
+    let mut frames = jelly(1);
+    for _ in 0..2 {
+        frames.extend(predict(surrogate, &frames).pop());
+    }
+    frames[2].position[..JELLY].iter_mut().for_each(|[x, _]| *x += 0.01);
+    frames
 }

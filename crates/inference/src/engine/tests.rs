@@ -20,8 +20,8 @@ use crate::{
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use streams::{
-    DT, checkpoint, description, elastic, frames, instruction_sets, jelly, largest_difference,
-    predict, threads,
+    DT, JELLY, checkpoint, description, elastic, frames, instruction_sets, jelly,
+    largest_difference, predict, predict_alone, pushed_jelly, threads,
 };
 
 /// A falling block of jelly and a heap of snow that hardly moves, each of more particles than one item of the thread pool.
@@ -407,12 +407,13 @@ fn rules_in_the_engine_equal_a_corrector_after_it() {
         let corrector = Corrector::new(&checkpoint.description);
         let spacing = checkpoint.description.grid.as_ref().map_or(0.0, |s| s.spacing);
         let rest = RestShape::new(&frames[0].position, &frames[0].material, 1, spacing);
+        let lattices = Lattices::default();
         let expected = predict(&Surrogate::load(&checkpoint, threads(2)).unwrap(), &frames);
         let alone = Surrogate::load(&without_rules(checkpoint), threads(2)).unwrap();
         for ((before, mut found), expected) in
             frames.iter().zip(predict(&alone, &frames)).zip(&expected)
         {
-            corrector.correct((&rest, &Lattices::default()), before, &mut found);
+            corrector.correct((&rest, &lattices, &mut lattices.expected()), before, &mut found);
             assert!(largest_difference(&found.position, &expected.position) <= 1e-6);
             assert!(largest_difference(&found.velocity, &expected.velocity) <= 1e-6);
         }
@@ -544,6 +545,22 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
     assert!((soft.0 / 125.0 - 1.0).abs() < 1e-5, "300 / (2 (1 + .2))");
     assert!((stiff.0 / soft.0 / 100.0 - 1.0).abs() < 1e-5);
     assert!(soft.1 < stiff.1 && soft.2 > stiff.2, "{soft:?}, {stiff:?}");
+}
+
+#[test]
+fn jelly_that_was_pushed_by_something_unknown_moves_as_the_network_predicts() {
+    let sizes = Sizes { encoder: 9, hidden: 8, layers: 1, particles: None };
+    let plain = checkpoint(description(Architecture::Particle, Core::MinGru, sizes), 5);
+    let elastic = Checkpoint { description: elastic(&plain.description), ..plain.clone() };
+    let [plain, elastic] = [&plain, &elastic].map(|own| Surrogate::load(own, threads(1)).unwrap());
+    let frames = pushed_jelly(&elastic);
+    let [without, with] = [&plain, &elastic].map(|own| predict(own, &frames));
+    let pushed = |frames: &[Frame], number: usize| frames[number].velocity[..JELLY].to_vec();
+    assert_ne!(pushed(&with, 1), pushed(&without, 1), "it was where it was expected");
+    assert_eq!(pushed(&with, 2), pushed(&without, 2));
+    // Other bodies still move by their elasticity, and this one does after an interruption.
+    assert_ne!(with[2].velocity[JELLY..], without[2].velocity[JELLY..]);
+    assert_ne!(pushed(&predict_alone(&elastic, &frames), 2), pushed(&without, 2));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The engine's predictions, including rules, equal those of the networks in burn within 1e-5.
 
 #[path = "../../../inference/src/engine/test_streams.rs"]
+#[expect(dead_code, reason = "the engine's own tests use more of it")]
 mod streams;
 
 use proptest::{prelude::*, sample::select, test_runner::RngSeed};

@@ -14,7 +14,7 @@ use eddy_frames::Frame;
 use eddy_inference::{
     checkpoint::{Checkpoint, CheckpointError, Description},
     engine::Corrector,
-    kernels::lattice::Lattices,
+    kernels::lattice::{Expected, Lattices},
 };
 
 /// A checkpoint's network in burn.
@@ -31,6 +31,7 @@ pub struct HiddenState {
     recurrent: RecurrentState,
     fixed: StaticInputs,
     lattices: Lattices,
+    expected_nodes: Expected,
 }
 
 impl Reference {
@@ -64,7 +65,8 @@ impl Reference {
         let fixed = StaticInputs::new(material, position, 1, each, grid, &device);
         let rows = (&*fixed.rest, 0..position.len());
         let lattices = self.description.lattices(rows, position, material, stiffness);
-        HiddenState { recurrent: RecurrentState::default(), fixed, lattices }
+        let expected_nodes = lattices.expected();
+        HiddenState { recurrent: RecurrentState::default(), fixed, lattices, expected_nodes }
     }
 
     /// Observes a frame, true or predicted, of the particles that `hidden` was started for, and predicts the next one: its
@@ -91,7 +93,8 @@ impl Reference {
             velocity: pairs(next.velocity),
             material: frame.material.clone(),
         };
-        self.corrector.correct((&hidden.fixed.rest, &hidden.lattices), frame, &mut next);
+        let HiddenState { fixed, lattices, expected_nodes, .. } = hidden;
+        self.corrector.correct((&fixed.rest, lattices, expected_nodes), frame, &mut next);
         next
     }
 }

@@ -4,7 +4,7 @@ use super::{super::Ballistic, Observed, Predicted, RuleSet, Stage};
 use crate::{
     checkpoint::{Description, GridOptions},
     kernels::{
-        lattice::Lattices,
+        lattice::{Expected, Lattices},
         nodes::{MIN_LEVELS, Nodes, Window},
         rest_shape::RestShape,
     },
@@ -39,13 +39,13 @@ impl Corrector {
     }
 
     /// Corrects the prediction from the frame `before`, which has the same particles in the same order; `rest` is their rest
-    /// shape, `lattices` those of its bodies of jelly.
+    /// shape, `lattices` those of its bodies of jelly, `expected` what they expect, of the stream's last frame first, then of this one.
     ///
     /// # Panics
     /// If they differ in the number of particles.
     pub fn correct(
         &self,
-        (rest, lattices): (&RestShape, &Lattices),
+        (rest, lattices, expected): (&RestShape, &Lattices, &mut Expected),
         before: &Frame,
         predicted: &mut Frame,
     ) {
@@ -78,7 +78,7 @@ impl Corrector {
             material: &predicted.material,
         };
         let mut scratch = self.rules.scratch();
-        let correction = self.rules.begin(&mut scratch, observed, predicted);
+        let correction = self.rules.begin(&mut scratch, observed, expected, predicted);
         for &stage in &self.stages {
             (0..correction.items(stage)).for_each(|item| correction.run(stage, item));
         }

@@ -3,7 +3,7 @@
 //! have turned its velocity within the frame; it is not stopped there as in a ballistic step.
 
 use super::{Observed, Predicted};
-use crate::kernels::lattice::{self, Lattices, Walls};
+use crate::kernels::lattice::{self, Expected, Lattices, Walls};
 use eddy_threads::DisjointSlice;
 
 /// Buffers of each body.
@@ -12,13 +12,24 @@ pub(super) type Scratch = Vec<lattice::Scratch>;
 /// The motion of a stream's bodies in a frame.
 pub(super) struct Elastic<'a> {
     lattices: &'a Lattices,
+    positions: DisjointSlice<'a, [f32; 2]>,
+    most_errors: DisjointSlice<'a, f32>,
     scratch: DisjointSlice<'a, lattice::Scratch>,
 }
 
 impl<'a> Elastic<'a> {
-    pub(super) fn new(lattices: &'a Lattices, scratch: &'a mut Scratch) -> Self {
+    pub(super) fn new(
+        lattices: &'a Lattices,
+        Expected { positions, most_errors }: &'a mut Expected,
+        scratch: &'a mut Scratch,
+    ) -> Self {
         scratch.resize_with(lattices.bodies().len().max(scratch.len()), Default::default);
-        Self { lattices, scratch: DisjointSlice::new(scratch) }
+        Self {
+            lattices,
+            positions: DisjointSlice::new(positions),
+            most_errors: DisjointSlice::new(most_errors),
+            scratch: DisjointSlice::new(scratch),
+        }
     }
 
     /// Number of bodies.
@@ -30,9 +41,15 @@ impl<'a> Elastic<'a> {
     pub(super) fn run(&self, body: usize, observed: &Observed, predicted: &Predicted) {
         let &Observed { position, velocity, ref ballistic, order, .. } = observed;
         let walls = Walls { lower: ballistic.lower, upper: ballistic.upper };
+        let nodes = self.lattices.bodies()[body].node_range();
         // SAFETY: only this item has this body.
-        let scratch = unsafe { &mut self.scratch.part(body..body + 1)[0] };
-        for (row, impulse) in self.lattices.impulses(body, &walls, (position, velocity), scratch) {
+        let (scratch, expected) = unsafe {
+            let most_error = &mut self.most_errors.part(body..body + 1)[0];
+            let expected = (self.positions.part(nodes), most_error);
+            (&mut self.scratch.part(body..body + 1)[0], expected)
+        };
+        let motion = (position, velocity);
+        for (row, impulse) in self.lattices.impulses(body, &walls, motion, expected, scratch) {
             // SAFETY: a particle is in one body, and this stage only reads and writes its own.
             let (to, speed) = unsafe { predicted.one(order[row] as usize) };
             for axis in 0..2 {

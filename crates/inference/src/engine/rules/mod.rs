@@ -28,7 +28,11 @@ mod shape;
 use super::{Ballistic, particle_features::Motion};
 use crate::{
     checkpoint::{self, Description, FlightRule, RestRule},
-    kernels::{lattice::Lattices, nodes::Nodes, rest_shape::RestShape},
+    kernels::{
+        lattice::{Expected, Lattices},
+        nodes::Nodes,
+        rest_shape::RestShape,
+    },
 };
 pub use corrector::Corrector;
 use eddy_frames::{Domain, Material};
@@ -181,11 +185,13 @@ impl RuleSet {
         }
     }
 
-    /// Begins the correction of a frame, whose stages are then to be run in order.
+    /// Begins the correction of a frame, whose stages are then to be run in order. `expected` is what the lattices of this stream expect in
+    /// `observed`, then of the coming frame.
     pub(super) fn begin<'a>(
         &self,
         scratch: &'a mut Scratch,
         observed: Observed<'a>,
+        expected: &'a mut Expected,
         predicted: Predicted<'a>,
     ) -> Correction<'a> {
         let Scratch { elastic, pressure, shape, bodies, flight, rest } = scratch;
@@ -196,7 +202,7 @@ impl RuleSet {
         }
         let (at_rest, order) = (observed.rest, observed.order);
         Correction {
-            elastic: Elastic::new(observed.lattices, elastic),
+            elastic: Elastic::new(observed.lattices, expected, elastic),
             pressure: DisjointSlice::new(std::slice::from_mut(pressure)),
             shape: rules.shape.map(|rule| shape.shape(rule, at_rest, order)),
             bodies: DisjointSlice::new(std::slice::from_mut(bodies)),

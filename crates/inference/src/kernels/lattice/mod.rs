@@ -19,6 +19,8 @@
 //!    at some distance from a wall, a part is pushed back by a spring, less while it moves away, without friction.
 //! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none, nor does one of a
 //!    body that other matter is close to, whose forces are not known here, or that is torn, as the ground truth allows.
+//! 6. Nor does one whose nodes did not come where it expected them in the last frame ([`Expected`]): a force that is not known here (an
+//!    attractor, a hand), another stiffness or a tear shows in a frame, and most often stays for the next.
 
 mod cover;
 mod fit;
@@ -48,6 +50,9 @@ pub const MOST_STEPS: usize = 256;
 const LIGHTEST: f64 = 0.1;
 /// Strain that tears a body while walls push it, relative to that of a free one.
 const PUSHED_STRAIN: f32 = 2.0;
+/// Squared error of a lattice's nodes in the last frame at most, relative to the square of what it moved them beside free fall: beyond
+/// it, something acts that it does not know.
+const MOST_ERROR: f32 = 0.1;
 /// Largest change of a node's velocity within a frame (domain lengths per second): beyond it, its lattice has diverged.
 const FASTEST: f32 = 64.0;
 
@@ -69,6 +74,8 @@ pub struct Elasticity {
     /// Stretch above which a free body has no impulse: it is torn, or consists of bodies that touched in the first frame. While walls
     /// push it, it may have twice the strain.
     pub most_stretch: f32,
+    /// Error of a lattice's nodes in the last frame up to which it moves its body in any case (root of the mean square, domain lengths).
+    pub small_error: f32,
     /// Steps per frame.
     pub steps: usize,
     /// Time between two frames (s).
@@ -163,10 +170,22 @@ pub struct Lattices {
     body_of: Vec<u32>,
 }
 
+/// Where the nodes of a stream's lattices will be in the coming frame, if nothing acts that they do not know.
+#[derive(Debug, Default, PartialEq)]
+pub struct Expected {
+    /// Their positions, one body after the other, `[nodes of all bodies]` (domain lengths).
+    pub positions: Vec<[f32; 2]>,
+    /// The largest sum over a body's nodes of mass x squared distance from there with which its lattice moves it, `[bodies]` (a particle's mass x
+    /// square of domain lengths); infinite where nothing is expected.
+    pub most_errors: Vec<f32>,
+}
+
 /// The lattice of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     elasticity: Elasticity,
+    /// Number of its first node among those of all bodies.
+    first_node: usize,
     /// Row of each of its particles, `[P]`.
     rows: Vec<u32>,
     /// The nodes of its element, and their shape functions there, `[P, 4]`.
@@ -201,6 +220,25 @@ struct Node {
     force: [f32; 2],
 }
 
+impl Clone for Expected {
+    fn clone(&self) -> Self {
+        Self { positions: self.positions.clone(), most_errors: self.most_errors.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        self.positions.clone_from(&other.positions);
+        self.most_errors.clone_from(&other.most_errors);
+    }
+}
+
+impl Expected {
+    /// Nothing is expected.
+    pub fn forget(&mut self) {
+        self.positions.fill([0.0; 2]);
+        self.most_errors.fill(f32::INFINITY);
+    }
+}
+
 impl Lattices {
     /// Number of the body of a row in no body.
     pub const NO_BODY: u32 = u32::MAX;
@@ -227,7 +265,12 @@ impl Lattices {
         };
         let bodies = cover::bodies((rest, rows), material, spacing);
         let bodies = bodies.into_iter().filter(|body| body.len() >= MIN_PARTICLES);
-        let bodies: Vec<_> = bodies.filter_map(lattice).collect();
+        let mut bodies: Vec<_> = bodies.filter_map(lattice).collect();
+        let mut nodes = 0;
+        for body in &mut bodies {
+            body.first_node = nodes;
+            nodes += body.inverse_mass.len();
+        }
         let mut body_of = Vec::new();
         if !bodies.is_empty() {
             body_of.resize(position.len(), Self::NO_BODY);
@@ -263,22 +306,35 @@ impl Lattices {
         &self.body_of
     }
 
+    /// What they expect of a stream's first frame: nothing.
+    pub fn expected(&self) -> Expected {
+        let nodes = self.bodies.iter().map(|body| body.inverse_mass.len()).sum();
+        Expected {
+            positions: vec![[0.0; 2]; nodes],
+            most_errors: vec![f32::INFINITY; self.bodies.len()],
+        }
+    }
+
     /// Whether there is no body.
     pub fn is_empty(&self) -> bool {
         self.bodies.is_empty()
     }
 
-    /// The impulses of a body's particles, as pairs of row and impulse; nothing if another particle is close to the body, or it is torn. Positions and
-    /// velocities are by rows (domain lengths, domain lengths per second).
+    /// The impulses of a body's particles, as pairs of row and impulse; none if another particle is close to the body, if it is torn, or if its
+    /// nodes are not where they were expected. `motion` has positions and velocities by rows (domain lengths, domain lengths per second);
+    /// `expected` the body's part of [`Expected`], of this frame, then of the coming one.
     pub fn impulses<'s>(
         &'s self,
         body: usize,
         walls: &Walls,
         motion: (&[[f32; 2]], &[[f32; 2]]),
+        (expected, most_error): (&mut [[f32; 2]], &mut f32),
         scratch: &'s mut Scratch,
     ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
         let lattice = &self.bodies[body];
         lattice.fit(motion, scratch);
+        let error = lattice.squared_distance(&scratch.nodes, |node| expected[node]);
+        let is_expected = error <= std::mem::replace(most_error, f32::INFINITY);
         let Scratch { nodes, parts, .. } = scratch;
         lattice.locate(nodes, parts);
         let bounds = bounds(parts);
@@ -297,7 +353,11 @@ impl Lattices {
         let is_whole = |point| stress::stretch(point, nodes) <= most_stretch;
         let is_clear =
             lattice.points.iter().all(is_whole) && !self.body_of.iter().zip(motion.0).any(is_close);
-        is_clear.then(|| lattice.integrate(&walls, scratch)).into_iter().flatten()
+        let moves = is_clear && lattice.integrate(&walls, scratch);
+        if moves {
+            *most_error = lattice.expect(scratch, expected);
+        }
+        (moves && is_expected).then(|| lattice.interpolate(scratch)).into_iter().flatten()
     }
 }
 
@@ -350,6 +410,7 @@ impl Lattice {
         };
         Some(Self {
             elasticity,
+            first_node: 0,
             rows,
             normal_equations: Band::new(nodes.len(), &corners),
             corners,
@@ -357,6 +418,11 @@ impl Lattice {
             points: cover.quarters(places).into_iter().map(point).collect(),
             surface,
         })
+    }
+
+    /// Its nodes among those of all bodies.
+    pub fn node_range(&self) -> Range<usize> {
+        self.first_node..self.first_node + self.inverse_mass.len()
     }
 
     /// Row of each of its particles, `[P]`.
@@ -433,12 +499,22 @@ impl Lattice {
         }
     }
 
-    /// The impulses of its particles, as pairs of row and impulse, from fitted nodes and the planes from which on walls push.
-    fn integrate<'s>(
-        &'s self,
-        walls: &Walls,
-        scratch: &'s mut Scratch,
-    ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
+    /// Sum over the nodes of mass x squared distance from places (a particle's mass x square of domain lengths).
+    fn squared_distance(&self, nodes: &[Node], places: impl Fn(usize) -> [f32; 2]) -> f32 {
+        let own = |(number, node): (usize, &Node)| squared_distance(node.position, places(number));
+        let masses = self.inverse_mass.iter().map(|inverse| 1.0 / inverse);
+        nodes.iter().enumerate().map(own).zip(masses).map(|(square, mass)| mass * square).sum()
+    }
+
+    /// Writes the positions of the nodes after the frame; returns how far from there they may come ([`Expected::most_errors`]).
+    fn expect(&self, Scratch { nodes, start, .. }: &Scratch, positions: &mut [[f32; 2]]) -> f32 {
+        let claim = self.squared_distance(nodes, |node| start[node].fallen(&self.elasticity));
+        positions.iter_mut().zip(nodes).for_each(|(to, node)| *to = node.position);
+        MOST_ERROR * claim + self.rows.len() as f32 * self.elasticity.small_error.powi(2)
+    }
+
+    /// Advances fitted nodes by a frame, with the planes from which on walls push, and computes their impulses; whether they converge.
+    fn integrate(&self, walls: &Walls, scratch: &mut Scratch) -> bool {
         let elasticity = &self.elasticity;
         let Elasticity { steps, dt, gravity, .. } = *elasticity;
         let Scratch { nodes, start, impulses, .. } = scratch;
@@ -459,10 +535,15 @@ impl Lattice {
         impulses.clear();
         let pairs = start.iter().zip(&*nodes);
         impulses.extend(pairs.map(|(from, to)| Impulse::between(from, to, elasticity)));
-        let impulses = &*impulses;
-        let has_converged = impulses.iter().all(Impulse::has_converged);
-        let particles = self.rows.iter().zip(&self.corners).filter(move |_| has_converged);
-        particles.map(move |(&row, corners)| {
+        impulses.iter().all(Impulse::has_converged)
+    }
+
+    /// The impulses of its particles, as pairs of row and impulse, from those of its nodes.
+    fn interpolate<'s>(
+        &'s self,
+        Scratch { impulses, .. }: &'s Scratch,
+    ) -> impl Iterator<Item = (usize, Impulse)> + use<'s> {
+        self.rows.iter().zip(&self.corners).map(move |(&row, corners)| {
             let mut sum = Impulse::default();
             for Share { index, weight } in corners {
                 let Impulse { velocity_change, displacement } = impulses[*index as usize];
@@ -531,6 +612,12 @@ impl Node {
     fn add(&mut self, factor: f32, other: &Self) {
         add_scaled(&mut self.position, factor, other.position);
         add_scaled(&mut self.velocity, factor, other.velocity);
+    }
+
+    /// Its position after a frame of free fall.
+    fn fallen(&self, Elasticity { dt, gravity, .. }: &Elasticity) -> [f32; 2] {
+        [0, 1]
+            .map(|axis| self.position[axis] + (self.velocity[axis] + 0.5 * gravity[axis] * dt) * dt)
     }
 
     #[inline(always)]

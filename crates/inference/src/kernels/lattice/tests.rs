@@ -15,6 +15,7 @@ const LAW: Elasticity = Elasticity {
     rebound: 1.0,
     clear_distance: 7.0 * SPACING,
     most_stretch: 1.25,
+    small_error: 0.035 * SPACING,
     steps: 24,
     dt: DT,
     gravity: [0.0, 0.0],
@@ -44,7 +45,7 @@ fn lattice(rest: &[[f32; 2]]) -> Lattice {
     lattice.clone()
 }
 
-/// The impulses of all particles.
+/// The impulses of all particles in a stream's first frame.
 fn impulses(
     lattices: &Lattices,
     law: &Elasticity,
@@ -52,13 +53,25 @@ fn impulses(
     position: &[[f32; 2]],
     velocity: &[[f32; 2]],
 ) -> Vec<Impulse> {
-    let mut found = vec![Impulse::default(); position.len()];
-    let mut scratch = Scratch::default();
     let mut lattices = lattices.clone();
+    lattices.bodies.iter_mut().for_each(|body| body.elasticity = *law);
+    let mut expected = lattices.expected();
+    later_impulses(&lattices, &mut expected, walls, (position, velocity))
+}
+
+/// Those in a frame for which this is expected.
+fn later_impulses(
+    lattices: &Lattices,
+    expected: &mut Expected,
+    walls: &Walls,
+    motion: (&[[f32; 2]], &[[f32; 2]]),
+) -> Vec<Impulse> {
+    let mut found = vec![Impulse::default(); motion.0.len()];
+    let mut scratch = Scratch::default();
     for body in 0..lattices.bodies.len() {
-        lattices.bodies[body].elasticity = *law;
-        let motion = (position, velocity);
-        for (row, impulse) in lattices.impulses(body, walls, motion, &mut scratch) {
+        let nodes = lattices.bodies[body].node_range();
+        let expected = (&mut expected.positions[nodes], &mut expected.most_errors[body]);
+        for (row, impulse) in lattices.impulses(body, walls, motion, expected, &mut scratch) {
             found[row] = impulse;
         }
     }
@@ -73,7 +86,17 @@ fn advance(
     velocity: &mut [[f32; 2]],
 ) {
     let all = impulses(lattices, law, walls, position, velocity);
-    for (row, Impulse { velocity_change, displacement }) in all.into_iter().enumerate() {
+    follow(&all, law, position, velocity);
+}
+
+/// The next frame after these impulses.
+fn follow(
+    impulses: &[Impulse],
+    law: &Elasticity,
+    position: &mut [[f32; 2]],
+    velocity: &mut [[f32; 2]],
+) {
+    for (row, Impulse { velocity_change, displacement }) in impulses.iter().enumerate() {
         for axis in 0..2 {
             let v = &mut velocity[row][axis];
             *v += velocity_change[axis];
@@ -373,6 +396,44 @@ fn a_body_has_an_impulse_only_while_nothing_else_is_close() {
         let found = impulses(&lattices, &LAW, &FAR, &position, &velocity);
         assert!(largest(found[..196].iter().map(|own| own.velocity_change)) > 0.1);
     }
+}
+
+/// Squeezed jelly that vibrates while it falls.
+#[test]
+fn a_lattice_that_was_wrong_in_the_last_frame_gives_no_impulse() {
+    let rest = block(17, 13);
+    let law = Elasticity { gravity: [0.0, -9.8], ..LAW };
+    let lattices = wide_lattices(&rest, 3.5, law);
+    let mut expected = lattices.expected();
+    let mut position: Vec<_> = rest.iter().map(|[x, y]| [*x, 0.995 * y]).collect();
+    let mut velocity = vec![[1.0, 0.5]; rest.len()];
+    // Domain lengths per second squared.
+    let pull = |push: f32| [push * DT, 0.5 * push * DT * DT];
+    let mut frame = |push: f32| {
+        let all = later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
+        // What moves is what a lattice expects, whether it may move it or not.
+        let motion = impulses(&lattices, &law, &FAR, &position, &velocity);
+        follow(&motion, &law, &mut position, &mut velocity);
+        let [faster, farther] = pull(push);
+        velocity.iter_mut().for_each(|[x, _]| *x += faster);
+        position.iter_mut().for_each(|[x, _]| *x += farther);
+        largest(all.iter().map(|own| own.velocity_change)) > 0.0
+    };
+    // A tenth of gravity is not noticed, gravity's own size is; a frame later it moves again.
+    let pushes = [0.0, 0.0, 1.0, 0.0, 9.8, 9.8, 0.0, 0.0];
+    let moved = pushes.map(&mut frame);
+    assert_eq!(moved, [true, true, true, true, true, false, false, true]);
+    // A stream that begins anew.
+    let whole = impulses(&lattices, &law, &FAR, &position, &velocity);
+    position.iter_mut().for_each(|[x, _]| *x += 0.1);
+    let mut found = || later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
+    assert_eq!(found(), vec![Impulse::default(); rest.len()]);
+    expected.forget();
+    let found = later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
+    let apart = found.iter().zip(&whole).map(|(found, whole)| {
+        [0, 1].map(|axis| found.velocity_change[axis] - whole.velocity_change[axis])
+    });
+    assert!(largest(apart) < 1e-3);
 }
 
 /// A ring, whose parts and elements are partly empty: every part has nodes.
