@@ -37,7 +37,7 @@ SURROUNDINGS = {"cell_width": 1 / 32, "channels": [5, 6, 7, 8], "spacing": 1 / 1
 FASTEST = 15.0
 ELASTIC = {
     "modulus": 300.0, "poisson_ratio": 0.2, "cell_width": 3.5, "steps": 25, "viscosity": 0.07, "wall_distance": 2.85,
-    "wall_stiffness": 1.0, "rebound": 0.8, "clear_distance": 7.0, "most_stretch": 1.25,
+    "wall_stiffness": 1.0, "rebound": 0.8, "clear_distance": 7.0, "most_stretch": 1.25, "most_error": 0.1, "small_error": 0.035,
 }  # fmt: skip
 # Those of format version 1, and `elastic`.
 RULES = {

@@ -23,9 +23,6 @@ REBOUNDING = 0.1
 CONNECTED, FASTEST = 1.5, 64.0
 # Strain that tears a body while walls push it, relative to that of a free one.
 PUSHED_STRAIN = 2
-# Squared error of the nodes in the last frame at most, relative to the square of what they were moved beside free fall; error
-# that is always allowed (spacings).
-MOST_ERROR, SMALL_ERROR = 0.1, 0.035
 CORNERS = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]])
 
 
@@ -103,7 +100,7 @@ class Lattice:
         x, v = torch.linalg.lstsq(self.values, torch.cat([position, velocity], 1)).solution.split(2, 1)
         return x, v
 
-    def distance(self, one: Tensor, other: Tensor) -> float:
+    def weighted_distance(self, one: Tensor, other: Tensor) -> float:
         """Sum of mass x squared distance of nodes, [M, 2] each."""
         return float((self.mass * (one - other).square().sum(1)).sum())
 
@@ -141,6 +138,8 @@ class Elastic:
         self.modulus = self.lam + 2 * self.mu  # of pressure waves
         self.rate = math.sqrt(self.modulus) / (SURFACE_WIDTH * self.spacing)
         self.steps, self.viscosity = self.options["steps"], self.options["viscosity"]
+        self.most_error = self.options.get("most_error", math.inf)
+        self.small_error = self.options.get("small_error", 0.0) * self.spacing
         self.wall_stiffness, self.rebound = self.options["wall_stiffness"], self.options["rebound"]
         scale, distance = description["normalization"], self.options["wall_distance"] * self.spacing
         self.walls = [torch.tensor(scale[side][:2], dtype=torch.double) for side in ("minimum", "maximum")]
@@ -172,8 +171,9 @@ class Elastic:
         if not bool((faster.abs() <= FASTEST).all()):
             return None
         farther = x - x0 - (v0 + faster + fallen / 2) * self.dt
-        small = len(position) * (SMALL_ERROR * self.spacing) ** 2
-        lattice.expected = x, MOST_ERROR * lattice.distance(x, x0 + (v0 + fallen / 2) * self.dt) + small
+        if self.most_error < math.inf:
+            moved = lattice.weighted_distance(x, x0 + (v0 + fallen / 2) * self.dt)
+            lattice.expected = x, self.most_error * moved + len(position) * self.small_error**2
         velocity = velocity + lattice.values @ faster
         moved = position + (velocity + fallen / 2) * self.dt + lattice.values @ farther
         return moved.clamp(*self.walls), velocity + fallen
@@ -197,6 +197,6 @@ class Elastic:
             if bool((torch.cdist(position[is_other], parts) < self.options["clear_distance"] * self.spacing).any()):
                 continue
             moved = self.move(position[rows], velocity[rows], lattice)
-            if moved is not None and (expected is None or lattice.distance(nodes, expected[0]) <= expected[1]):
+            if moved is not None and (expected is None or lattice.weighted_distance(nodes, expected[0]) <= expected[1]):
                 to[rows], speed[rows] = (track.to(to) for track in moved)
         return to, speed

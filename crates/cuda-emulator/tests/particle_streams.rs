@@ -23,8 +23,8 @@ use eddy_inference::{
     engine::{Accelerator, StepRequest, Surrogate},
 };
 use streams::{
-    checkpoint, description, elastic, frames, jelly, largest_difference, predict, predict_alone,
-    pushed_jelly, threads,
+    JELLY, checkpoint, description, elastic, frames, jelly, largest_difference, predict,
+    predict_alone, pushed_jelly, threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -111,6 +111,11 @@ fn jelly_moves_by_its_elasticity_as_it_does_on_the_processor() {
         assert!(apart(&without[3], &expected[3]) > 0.1, "the rule moves jelly");
         let pushed = pushed_jelly(&processor);
         let [in_stream, on_device] = [&processor, &device].map(|of| predict(of, &pushed));
+        let unexpected = &predict_alone(&processor, &pushed)[2].velocity[..JELLY];
+        assert_ne!(&in_stream[2].velocity[..JELLY], unexpected, "it moves as predicted");
+        if !stiffness {
+            are_copied_and_forgotten(&device, &frames);
+        }
         let pairs = found.iter().chain(&on_device).zip(expected.iter().chain(&in_stream));
         for (number, (found, expected)) in pairs.enumerate() {
             let apart = apart(found, expected);
@@ -246,7 +251,7 @@ fn each_stream_has_the_weights_of_its_stiffness() {
 #[test]
 fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
     for core in [Core::MinGru, Core::Lstm, Core::Mlp] {
-        are_copied_and_forgotten(&emulated(&small(core)));
+        are_copied_and_forgotten(&emulated(&small(core)), &frames(4, 70, 5));
     }
 }
 

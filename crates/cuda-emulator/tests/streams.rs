@@ -112,6 +112,6 @@ fn a_stream_has_the_same_bits_alone_and_beside_others() {
 #[test]
 fn a_copied_state_goes_on_alone_and_a_forgotten_one_starts_anew() {
     for core in [Core::MinGru, Core::Lstm] {
-        are_copied_and_forgotten(&emulated(&small(core)));
+        are_copied_and_forgotten(&emulated(&small(core)), &frames(4, 70, 5));
     }
 }

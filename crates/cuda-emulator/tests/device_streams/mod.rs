@@ -3,7 +3,7 @@
 use eddy_frames::Frame;
 use eddy_inference::engine::{StepRequest, Surrogate};
 
-use crate::streams::{frames, predict, stiffness};
+use crate::streams::{predict, stiffness};
 
 /// Every stream has the same bits beside the others, in a second run, and alone.
 pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams: &[Vec<Frame>]) {
@@ -45,8 +45,7 @@ pub fn have_the_same_bits_alone_and_beside_others(surrogate: &Surrogate, streams
 }
 
 /// A copied state evolves independently of the original; a cleared state predicts as at the start.
-pub fn are_copied_and_forgotten(surrogate: &Surrogate) {
-    let frames = frames(4, 70, 5);
+pub fn are_copied_and_forgotten(surrogate: &Surrogate, frames: &[Frame]) {
     let (mut stepper, mut hidden) = (surrogate.stepper(), surrogate.start(&frames[0]).unwrap());
     let first = stepper.step(&mut hidden, &frames[0]);
     let mut ahead = hidden.clone();

@@ -29,8 +29,8 @@ struct Lattice {
   const LatticePart* parts;
   u32 particle_count, node_count, point_count, part_count;
   u32 first_node, first_force; // of its scratch memory
-  float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, clear_distance, most_stretch, small_error;
-  int steps;
+  float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, clear_distance, most_stretch, most_error, small_error;
+  int steps, unused;
 };
 #define ELASTIC_THREADS 512
 // Largest change of a node's velocity, speed away from a wall from which on it pushes least: `FASTEST` and `REBOUNDING` of eddy-inference.
@@ -38,9 +38,7 @@ struct Lattice {
 #define REBOUNDING 0.1f
 // Strain that tears a body while walls push it, relative to that of a free one: `PUSHED_STRAIN`.
 #define PUSHED_STRAIN 2.0f
-// Squared error of the nodes in the last frame at most, relative to the square of what they were moved beside free fall: `MOST_ERROR`.
-#define MOST_ERROR 0.1f
-// The largest error where nothing is expected.
+// The largest error where nothing is expected, or there is no limit.
 #define NOTHING_EXPECTED 3.4e38f
 
 // The larger stretch at a point.
@@ -151,7 +149,7 @@ __device__ __forceinline__ float elastic_sum(float own) {
   return sums[0];
 }
 // Mass x squared distance of a node from a place.
-__device__ __forceinline__ float node_distance(const Lattice& l, u32 node, const Body& own, const float* place) {
+__device__ __forceinline__ float weighted_distance(const Lattice& l, u32 node, const Body& own, const float* place) {
   const float x = own.x[0] - place[0], y = own.x[1] - place[1];
   return (x * x + y * y) / l.inverse_mass[node];
 }
@@ -190,7 +188,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
   float error = 0.0f;
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
     now[node] = start[node];
-    error += node_distance(l, node, start[node], places_expected + 2 * node);
+    error += weighted_distance(l, node, start[node], places_expected + 2 * node);
   }
   error = elastic_sum(error);
   const float most_error = s.begun ? s.lattice_errors[number] : NOTHING_EXPECTED;
@@ -258,7 +256,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     }
     __syncthreads();
   }
-  float claim = 0.0f;
+  float moved = 0.0f;
   for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS) {
     const Body from = start[node], to = now[node];
     Body impulse;
@@ -267,21 +265,23 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     for (int a = 0; a < 2; a++) {
       const float change = to.v[a] - from.v[a] - s.fall[a];
       fallen[a] = from.x[a] + (from.v[a] + 0.5f * s.fall[a]) * s.dt;
-      places_expected[2 * node + a] = to.x[a];
       impulse.v[a] = change;
       impulse.x[a] = to.x[a] - from.x[a] - (from.v[a] + change + 0.5f * s.fall[a]) * s.dt;
       // A lattice that has diverged moves nothing.
       if (!(fabsf(change) <= FASTEST)) stops = 1;
     }
-    claim += node_distance(l, node, to, fallen);
+    moved += weighted_distance(l, node, to, fallen);
     start[node] = impulse;
   }
-  claim = elastic_sum(claim);
+  moved = elastic_sum(moved);
   const int diverged = stops;
   __syncthreads();
   if (diverged) return;
-  if (threadIdx.x == 0) s.lattice_errors[number] = MOST_ERROR * claim + (float)particles * l.small_error * l.small_error;
-  if (!(error <= most_error)) return;
+  for (u32 node = threadIdx.x; node < nodes; node += ELASTIC_THREADS)
+    for (int a = 0; a < 2; a++) places_expected[2 * node + a] = now[node].x[a];
+  if (threadIdx.x == 0 && l.most_error < NOTHING_EXPECTED)
+    s.lattice_errors[number] = l.most_error * moved + (float)particles * l.small_error * l.small_error;
+  if (most_error < NOTHING_EXPECTED && !(error <= most_error)) return;
   for (u32 k = threadIdx.x; k < particles; k += ELASTIC_THREADS) {
     Body impulse = zero_body(), next = s.bodies[l.rows[k]];
 #pragma unroll

@@ -37,7 +37,7 @@ struct Stream {
   float* hidden;                 // [LAYERS, n, H4]; of LSTM also the cells, after all outputs
   float* expected;               // [n, 2] velocities that the ballistic step expects
   float* lattice_places;         // [nodes of all lattices, 2] where they are expected
-  float* lattice_errors;         // [lattices] largest sum of squared distances from there with which a lattice moves its body
+  float* lattice_errors;         // [lattices] largest sum of mass x squared distance from there with which a lattice moves its body
   const u32* first;              // [n + 1] first link of each particle; none where no particle has a rest shape
   const Link* links;
   const Neighbour* neighbours;   // as many as links

@@ -18,6 +18,9 @@ pub(super) const ELASTIC_BLOCKS: usize = 4;
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 const MOST_NODES: usize = 2048;
 
+/// Largest error of the nodes where there is no limit, as in the kernels.
+const NOTHING_EXPECTED: f32 = 3.4e38;
+
 /// `struct Lattice` of the kernels.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
@@ -36,10 +39,12 @@ struct DeviceLattice {
     rebound: f32,
     clear_distance: f32,
     most_stretch: f32,
+    most_error: f32,
     small_error: f32,
     steps: u32,
+    _unused: u32,
 }
-const _: () = assert!(size_of::<DeviceLattice>() == 8 * 10 + 4 * 16);
+const _: () = assert!(size_of::<DeviceLattice>() == 8 * 10 + 4 * 18);
 // SAFETY: numbers without padding between them, as the size shows.
 unsafe impl bytemuck::Zeroable for DeviceLattice {}
 // SAFETY: as above.
@@ -141,8 +146,8 @@ fn on_device(
     words: Address,
 ) -> DeviceLattice {
     let Elasticity { lame, viscosity, wall_distance, wall_stiffness, .. } = *lattice.elasticity();
-    let Elasticity { rebound, clear_distance, most_stretch, small_error, steps, .. } =
-        *lattice.elasticity();
+    let Elasticity { rebound, clear_distance, most_stretch, .. } = *lattice.elasticity();
+    let Elasticity { most_error, small_error, steps, .. } = *lattice.elasticity();
     DeviceLattice {
         lists: lists.map(|list| words.plus(list).0),
         particles: lattice.rows().len() as u32,
@@ -158,8 +163,10 @@ fn on_device(
         rebound,
         clear_distance,
         most_stretch,
+        most_error: most_error.min(NOTHING_EXPECTED),
         small_error,
         steps: steps as u32,
+        _unused: 0,
     }
 }
 

@@ -10,7 +10,8 @@ use crate::{
     kernels::lattice::{self, Elasticity},
 };
 
-/// Constants of the rule that a body of jelly moves by its own stress and the walls while nothing else is close to it, whatever was predicted.
+/// Constants of the rule that a body of jelly moves by its own stress and the walls while nothing else is close to it and its lattice was not wrong in
+/// the last frame, whatever was predicted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ElasticRule {
@@ -35,11 +36,18 @@ pub struct ElasticRule {
     /// Stretch above which a body is torn, and moves as predicted, 1 to 4; while walls push it, it may have twice the strain; in a
     /// network that is conditioned on the stiffness, at most.
     pub most_stretch: f32,
+    /// Squared error of a lattice's nodes in the last frame, relative to the square of what it moved them beside free fall, above which it moves nothing, at
+    /// least 0; if it is not given, there is no such limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub most_error: Option<f32>,
+    /// Error of the nodes (root of the mean square, spacings at rest) whose square is added to that limit, at least 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub small_error: f32,
 }
 
-/// Error of a lattice in the last frame up to which it moves its body in any case (root of the mean square over the nodes, spacings at rest): more
-/// than all errors of whole bodies that nothing else acts on are, and less than gravity's effect in a frame.
-const SMALL_ERROR: f32 = 0.035;
+fn is_zero(number: &f32) -> bool {
+    *number == 0.0
+}
 
 impl ElasticRule {
     /// The most steps per frame.
@@ -108,7 +116,8 @@ impl ElasticRule {
             rebound,
             clear_distance: self.clear_distance * spacing,
             most_stretch: self.most_stretch,
-            small_error: SMALL_ERROR * spacing,
+            most_error: self.most_error.unwrap_or(f32::INFINITY),
+            small_error: self.small_error * spacing,
             steps,
             dt,
             gravity,
@@ -130,6 +139,8 @@ impl Default for ElasticRule {
             rebound: 0.8,
             clear_distance: 7.0,
             most_stretch: 1.25,
+            most_error: Some(0.1),
+            small_error: 0.035,
         }
     }
 }
@@ -143,7 +154,9 @@ pub(super) fn check(
 ) -> Result<(), CheckpointError> {
     let ElasticRule { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
     let ElasticRule { viscosity, wall_stiffness, rebound, .. } = *options;
-    let ElasticRule { clear_distance, most_stretch, .. } = *options;
+    let ElasticRule { clear_distance, most_stretch, most_error, small_error, .. } = *options;
+    let most_error = most_error.unwrap_or_default();
+    let positive = |error: f32| error >= 0.0 && error.is_finite();
     // NaN is in none of these ranges.
     let checks = [
         ("modulus", modulus, modulus > 0.0 && modulus.is_finite(), "a positive number"),
@@ -160,6 +173,8 @@ pub(super) fn check(
         ("rebound", rebound, (0.0..=1.0).contains(&rebound), "0 to 1"),
         ("clear_distance", clear_distance, (0.0..=64.0).contains(&clear_distance), "0 to 64"),
         ("most_stretch", most_stretch, (1.0..=4.0).contains(&most_stretch), "1 to 4"),
+        ("most_error", most_error, positive(most_error), "a number of at least 0"),
+        ("small_error", small_error, positive(small_error), "a number of at least 0"),
     ];
     for (key, found, fits, expected) in checks {
         if !fits {

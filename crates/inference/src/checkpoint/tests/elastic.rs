@@ -29,6 +29,10 @@ fn elastic_constants_out_of_range_are_rejected_and_others_are_part_of_the_digest
         set(|rule| rule.rebound = 1.0),
         set(|rule| rule.clear_distance = 3.0),
         set(|rule| rule.most_stretch = 1.2),
+        set(|rule| rule.most_error = Some(0.2)),
+        set(|rule| rule.most_error = None),
+        set(|rule| rule.small_error = 0.1),
+        set(|rule| rule.small_error = 0.0),
         checkpoint(),
     ];
     for other in changed {
@@ -66,6 +70,14 @@ fn elastic_constants_out_of_range_are_rejected_and_others_are_part_of_the_digest
         (
             set(|rule| rule.most_stretch = 0.9),
             "rules.elastic.most_stretch: found 0.9, expected 1 to 4",
+        ),
+        (
+            set(|rule| rule.most_error = Some(-0.1)),
+            "rules.elastic.most_error: found -0.1, expected a number of at least 0",
+        ),
+        (
+            set(|rule| rule.small_error = f32::NAN),
+            "rules.elastic.small_error: found NaN, expected a number of at least 0",
         ),
         (
             set(|rule| rule.clear_distance = 65.0),

@@ -1,5 +1,5 @@
 //! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`](crate::kernels::lattice)), whatever
-//! was predicted: from its positions and velocities that is known far better than a network learns it. Later rules apply to the result. Walls
+//! was predicted, unless its nodes are not where they were expected: from its positions and velocities that is known far better than a network learns it. Later rules apply to the result. Walls
 //! have turned its velocity within the frame; it is not stopped there as in a ballistic step.
 
 use super::{Observed, Predicted};
@@ -41,8 +41,8 @@ impl<'a> Elastic<'a> {
     pub(super) fn run(&self, body: usize, observed: &Observed, predicted: &Predicted) {
         let &Observed { position, velocity, ref ballistic, order, .. } = observed;
         let walls = Walls { lower: ballistic.lower, upper: ballistic.upper };
-        let nodes = self.lattices.bodies()[body].node_range();
-        // SAFETY: only this item has this body.
+        let nodes = self.lattices.nodes(body);
+        // SAFETY: only this item has this body, and bodies share no nodes.
         let (scratch, expected) = unsafe {
             let most_error = &mut self.most_errors.part(body..body + 1)[0];
             let expected = (self.positions.part(nodes), most_error);

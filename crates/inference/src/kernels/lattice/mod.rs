@@ -20,7 +20,8 @@
 //! 5. What the steps change at the nodes is interpolated at the particles ([`Impulse`]). A lattice that diverges gives none, nor does one of a
 //!    body that other matter is close to, whose forces are not known here, or that is torn, as the ground truth allows.
 //! 6. Nor does one whose nodes did not come where it expected them in the last frame ([`Expected`]): a force that is not known here (an
-//!    attractor, a hand), another stiffness or a tear shows in a frame, and most often stays for the next.
+//!    attractor, a hand), another stiffness or a tear shows in a frame, and most often stays for the next. A lattice that had no steps in
+//!    the last frame expects nothing, and moves its body.
 
 mod cover;
 mod fit;
@@ -50,9 +51,6 @@ pub const MOST_STEPS: usize = 256;
 const LIGHTEST: f64 = 0.1;
 /// Strain that tears a body while walls push it, relative to that of a free one.
 const PUSHED_STRAIN: f32 = 2.0;
-/// Squared error of a lattice's nodes in the last frame at most, relative to the square of what it moved them beside free fall: beyond
-/// it, something acts that it does not know.
-const MOST_ERROR: f32 = 0.1;
 /// Largest change of a node's velocity within a frame (domain lengths per second): beyond it, its lattice has diverged.
 const FASTEST: f32 = 64.0;
 
@@ -74,7 +72,10 @@ pub struct Elasticity {
     /// Stretch above which a free body has no impulse: it is torn, or consists of bodies that touched in the first frame. While walls
     /// push it, it may have twice the strain.
     pub most_stretch: f32,
-    /// Error of a lattice's nodes in the last frame up to which it moves its body in any case (root of the mean square, domain lengths).
+    /// Squared error of a lattice's nodes in the last frame, relative to the square of what it moved them beside free fall, above which it moves
+    /// nothing; infinite: it moves its body in any case.
+    pub most_error: f32,
+    /// Error of the nodes whose square is added to that (root of the mean square, domain lengths).
     pub small_error: f32,
     /// Steps per frame.
     pub steps: usize,
@@ -166,6 +167,8 @@ pub struct SurfacePart {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lattices {
     bodies: Vec<Lattice>,
+    /// Number of the first node of each body among those of all, and their number.
+    first_nodes: Vec<usize>,
     /// Number of each row's body, or [`Lattices::NO_BODY`], `[N]`; empty if there is no body.
     body_of: Vec<u32>,
 }
@@ -184,8 +187,6 @@ pub struct Expected {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     elasticity: Elasticity,
-    /// Number of its first node among those of all bodies.
-    first_node: usize,
     /// Row of each of its particles, `[P]`.
     rows: Vec<u32>,
     /// The nodes of its element, and their shape functions there, `[P, 4]`.
@@ -265,12 +266,7 @@ impl Lattices {
         };
         let bodies = cover::bodies((rest, rows), material, spacing);
         let bodies = bodies.into_iter().filter(|body| body.len() >= MIN_PARTICLES);
-        let mut bodies: Vec<_> = bodies.filter_map(lattice).collect();
-        let mut nodes = 0;
-        for body in &mut bodies {
-            body.first_node = nodes;
-            nodes += body.inverse_mass.len();
-        }
+        let bodies: Vec<_> = bodies.filter_map(lattice).collect();
         let mut body_of = Vec::new();
         if !bodies.is_empty() {
             body_of.resize(position.len(), Self::NO_BODY);
@@ -278,7 +274,13 @@ impl Lattices {
         for (number, Lattice { rows, .. }) in bodies.iter().enumerate() {
             rows.iter().for_each(|&row| body_of[row as usize] = number as u32);
         }
-        Self { bodies, body_of }
+        let counts = bodies.iter().map(|body| body.inverse_mass.len());
+        let ends = counts.scan(0, |end, count| {
+            *end += count;
+            Some(*end)
+        });
+        let first_nodes = std::iter::once(0).chain(ends).collect();
+        Self { bodies, first_nodes, body_of }
     }
 
     /// The lattices for rows in another order: `order[i]` is the row that becomes row i.
@@ -306,13 +308,18 @@ impl Lattices {
         &self.body_of
     }
 
+    /// The nodes of a body among those of all: parts that do not overlap.
+    pub fn nodes(&self, body: usize) -> Range<usize> {
+        self.first_nodes[body]..self.first_nodes[body + 1]
+    }
+
     /// What they expect of a stream's first frame: nothing.
     pub fn expected(&self) -> Expected {
-        let nodes = self.bodies.iter().map(|body| body.inverse_mass.len()).sum();
-        Expected {
-            positions: vec![[0.0; 2]; nodes],
-            most_errors: vec![f32::INFINITY; self.bodies.len()],
-        }
+        let nodes = self.first_nodes.last().copied().unwrap_or_default();
+        let (positions, most_errors) = (vec![[0.0; 2]; nodes], vec![0.0; self.bodies.len()]);
+        let mut expected = Expected { positions, most_errors };
+        expected.forget();
+        expected
     }
 
     /// Whether there is no body.
@@ -410,7 +417,6 @@ impl Lattice {
         };
         Some(Self {
             elasticity,
-            first_node: 0,
             rows,
             normal_equations: Band::new(nodes.len(), &corners),
             corners,
@@ -418,11 +424,6 @@ impl Lattice {
             points: cover.quarters(places).into_iter().map(point).collect(),
             surface,
         })
-    }
-
-    /// Its nodes among those of all bodies.
-    pub fn node_range(&self) -> Range<usize> {
-        self.first_node..self.first_node + self.inverse_mass.len()
     }
 
     /// Row of each of its particles, `[P]`.
@@ -508,12 +509,16 @@ impl Lattice {
 
     /// Writes the positions of the nodes after the frame; returns how far from there they may come ([`Expected::most_errors`]).
     fn expect(&self, Scratch { nodes, start, .. }: &Scratch, positions: &mut [[f32; 2]]) -> f32 {
-        let claim = self.squared_distance(nodes, |node| start[node].fallen(&self.elasticity));
+        let Elasticity { most_error, small_error, .. } = self.elasticity;
+        let moved = self.squared_distance(nodes, |node| start[node].fallen(&self.elasticity));
         positions.iter_mut().zip(nodes).for_each(|(to, node)| *to = node.position);
-        MOST_ERROR * claim + self.rows.len() as f32 * self.elasticity.small_error.powi(2)
+        if most_error == f32::INFINITY {
+            return most_error;
+        }
+        most_error * moved + self.rows.len() as f32 * small_error * small_error
     }
 
-    /// Advances fitted nodes by a frame, with the planes from which on walls push, and computes their impulses; whether they converge.
+    /// Advances fitted nodes by a frame, with the planes from which on walls push, and computes their impulses; whether the steps stayed stable.
     fn integrate(&self, walls: &Walls, scratch: &mut Scratch) -> bool {
         let elasticity = &self.elasticity;
         let Elasticity { steps, dt, gravity, .. } = *elasticity;

@@ -15,6 +15,7 @@ const LAW: Elasticity = Elasticity {
     rebound: 1.0,
     clear_distance: 7.0 * SPACING,
     most_stretch: 1.25,
+    most_error: 0.1,
     small_error: 0.035 * SPACING,
     steps: 24,
     dt: DT,
@@ -69,7 +70,7 @@ fn later_impulses(
     let mut found = vec![Impulse::default(); motion.0.len()];
     let mut scratch = Scratch::default();
     for body in 0..lattices.bodies.len() {
-        let nodes = lattices.bodies[body].node_range();
+        let nodes = lattices.nodes(body);
         let expected = (&mut expected.positions[nodes], &mut expected.most_errors[body]);
         for (row, impulse) in lattices.impulses(body, walls, motion, expected, &mut scratch) {
             found[row] = impulse;
@@ -423,17 +424,48 @@ fn a_lattice_that_was_wrong_in_the_last_frame_gives_no_impulse() {
     let pushes = [0.0, 0.0, 1.0, 0.0, 9.8, 9.8, 0.0, 0.0];
     let moved = pushes.map(&mut frame);
     assert_eq!(moved, [true, true, true, true, true, false, false, true]);
-    // A stream that begins anew.
+    // A stream that begins anew, and a rule without the limit.
     let whole = impulses(&lattices, &law, &FAR, &position, &velocity);
     position.iter_mut().for_each(|[x, _]| *x += 0.1);
     let mut found = || later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
     assert_eq!(found(), vec![Impulse::default(); rest.len()]);
+    let mut any = lattices.clone();
+    any.bodies[0].elasticity.most_error = f32::INFINITY;
+    let mut unknown = any.expected();
+    later_impulses(&any, &mut unknown, &FAR, (&rest, &velocity));
+    let found = later_impulses(&any, &mut unknown, &FAR, (&position, &velocity));
+    assert!(largest(found.iter().map(|own| own.velocity_change)) > 0.0);
     expected.forget();
     let found = later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
     let apart = found.iter().zip(&whole).map(|(found, whole)| {
         [0, 1].map(|axis| found.velocity_change[axis] - whole.velocity_change[axis])
     });
     assert!(largest(apart) < 1e-3);
+}
+
+/// Jelly that is squeezed by a tenth, whose nodes then are off by a share of what they were moved.
+#[test]
+fn the_error_that_a_lattice_may_have_is_relative_to_what_it_moves() {
+    let rest = block(17, 13);
+    let law = Elasticity { small_error: 0.0, ..LAW };
+    let lattices = wide_lattices(&rest, 3.5, law);
+    let squeezed: Vec<_> = rest.iter().map(|[x, y]| [*x, 0.9 * y]).collect();
+    let still = vec![[0.0; 2]; rest.len()];
+    let mut expected = lattices.expected();
+    let first = later_impulses(&lattices, &mut expected, &FAR, (&squeezed, &still));
+    let (mut position, mut velocity) = (squeezed.clone(), still.clone());
+    follow(&first, &law, &mut position, &mut velocity);
+    // All nodes move along y, and a share of it is missing.
+    for (missing, moves) in [(0.28, true), (0.35, false)] {
+        let off: Vec<_> = position
+            .iter()
+            .zip(&squeezed)
+            .map(|([x, y], [_, from])| [*x, y - missing * (y - from)])
+            .collect();
+        let found = later_impulses(&lattices, &mut expected.clone(), &FAR, (&off, &velocity));
+        let most = largest(found.iter().map(|own| own.velocity_change));
+        assert_eq!(most > 0.0, moves, "{missing}: {most}");
+    }
 }
 
 /// A ring, whose parts and elements are partly empty: every part has nodes.
