@@ -1,7 +1,6 @@
 //! The engine's predictions, including rules, equal those of the networks in burn within 1e-5.
 
 #[path = "../../../inference/src/engine/test_streams.rs"]
-#[expect(dead_code, reason = "the engine's own tests use more of it")]
 mod streams;
 
 use proptest::{prelude::*, sample::select, test_runner::RngSeed};
@@ -20,7 +19,7 @@ use eddy_inference::{
 };
 use streams::{
     DT, checkpoint, description, elastic, frames, instruction_sets, jelly, largest_difference,
-    predict, stiffness, threads,
+    predict, predict_alone, pushed_jelly, stiffness, threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -217,12 +216,16 @@ fn jelly_moves_by_its_elasticity_with(rules: Rules) {
     let checkpoint = Checkpoint { description: elastic(&plain.description), ..plain.clone() };
     let frames = jelly(4);
     let reference = Reference::load(&checkpoint, DeviceKind::Flex).unwrap();
-    let mut memory = reference.start(&frames[0], None);
-    let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut memory, frame)).collect();
-    let without = predict(&Surrogate::load(&plain, threads(1)).unwrap(), &frames);
+    let start = || reference.start(&frames[0], None);
+    let expected: Vec<_> = frames.iter().map(|frame| reference.step(&mut start(), frame)).collect();
+    let without = predict_alone(&Surrogate::load(&plain, threads(1)).unwrap(), &frames);
+    let pushed = pushed_jelly(&Surrogate::load(&checkpoint, threads(1)).unwrap());
+    let mut memory = start();
+    let in_stream: Vec<_> = pushed.iter().map(|frame| reference.step(&mut memory, frame)).collect();
     for set in instruction_sets() {
         let surrogate = Surrogate::load_for(&checkpoint, threads(2), set).unwrap();
-        for (found, expected) in predict(&surrogate, &frames).iter().zip(&expected) {
+        let found = [predict_alone(&surrogate, &frames), predict(&surrogate, &pushed)].concat();
+        for (found, expected) in found.iter().zip(expected.iter().chain(&in_stream)) {
             check(found, expected, &checkpoint.description).unwrap();
         }
     }
