@@ -1,6 +1,7 @@
 //! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`](crate::kernels::lattice)), whatever
-//! was predicted, unless its nodes are not where they were expected: from its positions and velocities that is known far better than a network learns it. Later rules apply to the result. Walls
-//! have turned its velocity within the frame; it is not stopped there as in a ballistic step.
+//! was predicted: its positions and velocities tell that motion far better than a network learns it. A lattice whose nodes did not come where it
+//! expected them leaves its body as predicted. Later rules apply to the result. Walls have turned its velocity within the frame; it is not
+//! stopped there as in a ballistic step.
 
 use super::{Observed, Predicted};
 use crate::kernels::lattice::{self, Expected, Lattices, Walls};

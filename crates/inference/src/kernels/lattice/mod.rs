@@ -510,11 +510,11 @@ impl Lattice {
     /// Writes the positions of the nodes after the frame; returns how far from there they may come ([`Expected::most_errors`]).
     fn expect(&self, Scratch { nodes, start, .. }: &Scratch, positions: &mut [[f32; 2]]) -> f32 {
         let Elasticity { most_error, small_error, .. } = self.elasticity;
-        let moved = self.squared_distance(nodes, |node| start[node].fallen(&self.elasticity));
-        positions.iter_mut().zip(nodes).for_each(|(to, node)| *to = node.position);
         if most_error == f32::INFINITY {
             return most_error;
         }
+        let moved = self.squared_distance(nodes, |node| start[node].fallen(&self.elasticity));
+        positions.iter_mut().zip(nodes).for_each(|(to, node)| *to = node.position);
         most_error * moved + self.rows.len() as f32 * small_error * small_error
     }
 

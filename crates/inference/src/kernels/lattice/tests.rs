@@ -424,7 +424,7 @@ fn a_lattice_that_was_wrong_in_the_last_frame_gives_no_impulse() {
     let pushes = [0.0, 0.0, 1.0, 0.0, 9.8, 9.8, 0.0, 0.0];
     let moved = pushes.map(&mut frame);
     assert_eq!(moved, [true, true, true, true, true, false, false, true]);
-    // A stream that begins anew, and a rule without the limit.
+    // A jump of all nodes: without a limit of errors the lattice still moves its body, and after a restart of the stream, too.
     let whole = impulses(&lattices, &law, &FAR, &position, &velocity);
     position.iter_mut().for_each(|[x, _]| *x += 0.1);
     let mut found = || later_impulses(&lattices, &mut expected, &FAR, (&position, &velocity));
