@@ -106,12 +106,12 @@ __device__ __forceinline__ float activation_slope(float y) {
 #endif
 }
 
-// Sum over a block of 256 threads, in a fixed order; every thread has it.
-__device__ __forceinline__ float block_sum(float v) {
-  __shared__ float sums[256];
+// Sum over a block of so many threads, a power of two, in a fixed order; every thread has it.
+template <u32 THREADS = 256> __device__ __forceinline__ float block_sum(float v) {
+  __shared__ float sums[THREADS];
   sums[threadIdx.x] = v;
   __syncthreads();
-  for (int m = 128; m; m >>= 1) {
+  for (u32 m = THREADS / 2; m; m >>= 1) {
     if (threadIdx.x < m) sums[threadIdx.x] += sums[threadIdx.x + m];
     __syncthreads();
   }

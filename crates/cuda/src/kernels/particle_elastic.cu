@@ -136,18 +136,6 @@ __device__ __forceinline__ void push(const Lattice& law, const float* lower, con
   }
 }
 
-// The sum of a block of ELASTIC_THREADS, always in the same order.
-__device__ __forceinline__ float elastic_sum(float own) {
-  __shared__ float sums[ELASTIC_THREADS];
-  __syncthreads();
-  sums[threadIdx.x] = own;
-  for (int half = ELASTIC_THREADS / 2; half > 0; half /= 2) {
-    __syncthreads();
-    if (threadIdx.x < half) sums[threadIdx.x] += sums[threadIdx.x + half];
-  }
-  __syncthreads();
-  return sums[0];
-}
 // Mass x squared distance of a node from a place.
 __device__ __forceinline__ float weighted_distance(const Lattice& l, u32 node, const Body& own, const float* place) {
   const float x = own.x[0] - place[0], y = own.x[1] - place[1];
@@ -190,7 +178,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     now[node] = start[node];
     error += weighted_distance(l, node, start[node], places_expected + 2 * node);
   }
-  error = elastic_sum(error);
+  error = block_sum<ELASTIC_THREADS>(error);
   const float most_error = s.begun ? s.lattice_errors[number] : NOTHING_EXPECTED;
   __syncthreads();
   if (threadIdx.x == 0) s.lattice_errors[number] = NOTHING_EXPECTED;
@@ -273,7 +261,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
     moved += weighted_distance(l, node, to, fallen);
     start[node] = impulse;
   }
-  moved = elastic_sum(moved);
+  moved = block_sum<ELASTIC_THREADS>(moved);
   const int diverged = stops;
   __syncthreads();
   if (diverged) return;

@@ -24,7 +24,9 @@
 //!    the last frame expects nothing, and moves its body.
 
 mod cover;
+mod expected;
 mod fit;
+mod node;
 mod stress;
 mod surface;
 
@@ -34,7 +36,9 @@ use eddy_frames::Material;
 
 use super::rest_shape::RestShape;
 use cover::Cover;
+pub use expected::Expected;
 pub use fit::Band;
+use node::{Node, add_scaled, squared_distance};
 use surface::{bounds, is_within};
 
 /// Particles of a body at least: smaller ones have no lattice.
@@ -173,16 +177,6 @@ pub struct Lattices {
     body_of: Vec<u32>,
 }
 
-/// Where the nodes of a stream's lattices will be in the coming frame, if nothing acts that they do not know.
-#[derive(Debug, Default, PartialEq)]
-pub struct Expected {
-    /// Their positions, one body after the other, `[nodes of all bodies]` (domain lengths).
-    pub positions: Vec<[f32; 2]>,
-    /// The largest sum over a body's nodes of mass x squared distance from there with which its lattice moves it, `[bodies]` (a particle's mass x
-    /// square of domain lengths); infinite where nothing is expected.
-    pub most_errors: Vec<f32>,
-}
-
 /// The lattice of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
@@ -208,36 +202,6 @@ pub struct Scratch {
     impulses: Vec<Impulse>,
     /// Of each part of the surface.
     parts: Vec<Node>,
-}
-
-/// A node within a frame.
-#[derive(Clone, Copy, Debug, Default)]
-struct Node {
-    /// Domain lengths.
-    position: [f32; 2],
-    /// Domain lengths per second.
-    velocity: [f32; 2],
-    /// In units of a particle's mass (domain lengths per second squared).
-    force: [f32; 2],
-}
-
-impl Clone for Expected {
-    fn clone(&self) -> Self {
-        Self { positions: self.positions.clone(), most_errors: self.most_errors.clone() }
-    }
-
-    fn clone_from(&mut self, other: &Self) {
-        self.positions.clone_from(&other.positions);
-        self.most_errors.clone_from(&other.most_errors);
-    }
-}
-
-impl Expected {
-    /// Nothing is expected.
-    pub fn forget(&mut self) {
-        self.positions.fill([0.0; 2]);
-        self.most_errors.fill(f32::INFINITY);
-    }
 }
 
 impl Lattices {
@@ -316,10 +280,7 @@ impl Lattices {
     /// What they expect of a stream's first frame: nothing.
     pub fn expected(&self) -> Expected {
         let nodes = self.first_nodes.last().copied().unwrap_or_default();
-        let (positions, most_errors) = (vec![[0.0; 2]; nodes], vec![0.0; self.bodies.len()]);
-        let mut expected = Expected { positions, most_errors };
-        expected.forget();
-        expected
+        Expected::nothing(nodes, self.bodies.len())
     }
 
     /// Whether there is no body.
@@ -589,55 +550,6 @@ impl Impulse {
     /// Whether it is one that a lattice can give; NaN is not.
     fn has_converged(&self) -> bool {
         self.velocity_change.iter().all(|change| change.abs() <= FASTEST)
-    }
-}
-
-fn squared_distance(one: [f32; 2], other: [f32; 2]) -> f32 {
-    let [x, y] = [one[0] - other[0], one[1] - other[1]];
-    x * x + y * y
-}
-
-/// Adds a multiple of a vector.
-#[inline(always)]
-fn add_scaled(sum: &mut [f32; 2], factor: f32, other: [f32; 2]) {
-    for (sum, other) in sum.iter_mut().zip(other) {
-        *sum += factor * other;
-    }
-}
-
-impl Node {
-    /// Position and velocity of a particle.
-    #[inline(always)]
-    fn of((position, velocity): (&[[f32; 2]], &[[f32; 2]]), row: usize) -> Self {
-        Self { position: position[row], velocity: velocity[row], force: [0.0; 2] }
-    }
-
-    /// Adds a multiple of another node's position and velocity.
-    #[inline(always)]
-    fn add(&mut self, factor: f32, other: &Self) {
-        add_scaled(&mut self.position, factor, other.position);
-        add_scaled(&mut self.velocity, factor, other.velocity);
-    }
-
-    /// Its position after a frame of free fall.
-    fn fallen(&self, Elasticity { dt, gravity, .. }: &Elasticity) -> [f32; 2] {
-        [0, 1]
-            .map(|axis| self.position[axis] + (self.velocity[axis] + 0.5 * gravity[axis] * dt) * dt)
-    }
-
-    #[inline(always)]
-    fn scale(&mut self, factor: f32) {
-        self.position = self.position.map(|x| factor * x);
-        self.velocity = self.velocity.map(|v| factor * v);
-    }
-
-    /// A step of symplectic Euler, after which no force acts.
-    #[inline(always)]
-    fn advance(&mut self, step: f32, inverse_mass: f32, fall: [f32; 2]) {
-        add_scaled(&mut self.velocity, step * inverse_mass, self.force);
-        add_scaled(&mut self.velocity, 1.0, fall);
-        add_scaled(&mut self.position, step, self.velocity);
-        self.force = [0.0; 2];
     }
 }
 
