@@ -92,7 +92,7 @@ pub enum Command {
     Predict(PredictArgs),
     /// Evaluate checkpoints by free rollouts over bags.
     Eval(EvalArgs),
-    /// Calibrate estimates of a checkpoint's errors by free rollouts over bags.
+    /// Calibrate estimates of a checkpoint's errors, which nodes and `eddy eval` state, by free rollouts over bags.
     Calibrate(CalibrateArgs),
     /// Run a comparison of the paper: simulate, train, evaluate, report.
     Study(StudyArgs),
@@ -299,6 +299,10 @@ pub struct RecordArgs {
     /// Compression of chunks.
     #[arg(long, value_enum, default_value_t = Compression::Zstd)]
     pub compression: Compression,
+    /// Entries of custom_data in metadata.yaml, as for `ros2 bag record`; eddy_stiffness=E is Young's modulus of the recorded matter
+    /// (density x velocity^2), for checkpoints that are conditioned on it.
+    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = values::entry)]
+    pub custom_data: Vec<(String, String)>,
     /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`
     /// [default: what the publishers offer].
     #[arg(long, value_name = "FILE")]

@@ -20,6 +20,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
         &[
             "eddy record zenoh:/particles zenoh:/prediction --output bags/live",
             "eddy record --all --exclude /cloud --output bags/all",
+            "eddy record zenoh:/particles --output bags/stiff --custom-data eddy_stiffness=1e5",
         ],
     ),
     (
@@ -45,6 +46,8 @@ const EXAMPLES: &[(&str, &[&str])] = &[
             "eddy node",
             "eddy node --input shm:/particles --output shm:/prediction --horizon 10 --publish all",
             "eddy node --checkpoint checkpoints/mine --ros-args -r __ns:=/robot1 -p max_gap:=5",
+            "eddy node --horizon 20 --ros-args -p max_expected_error:=0.05",
+            "eddy node --checkpoint checkpoints/particle-mingru-conditioned --stiffness 1e4",
         ],
     ),
     (

@@ -77,6 +77,9 @@ pub fn run(
     let place = args.output.clone().unwrap_or_else(default_output);
     let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;
     let mut recorder = Recorder::new(BagWriter::create(&place, options)?, clock::wall());
+    for (key, value) in &args.custom_data {
+        recorder.set_custom_data(key, value.clone());
+    }
     let clock = Clock::start();
     let line = live_line(quiet);
     let output = place.display();

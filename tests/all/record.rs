@@ -75,10 +75,16 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
         "zenoh",
         "--max-messages",
         "2",
+        "--custom-data",
+        "eddy_stiffness=1e5",
+        "robot=arm=3",
     ]));
     assert!(recorder.wait().success());
     let bag = BagReader::open(&world.bag()).unwrap();
     assert_eq!(bag.topics()[0].offered, [latched]);
+    let custom_data: Vec<_> = bag.custom_data().into_iter().collect();
+    let entry = |key: &str, value: &str| (key.to_owned(), value.to_owned());
+    assert_eq!(custom_data, [entry("eddy_stiffness", "1e5"), entry("robot", "arm=3")]);
     let recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
     assert_eq!(recorded, [word("one"), word("two")]);
 }
@@ -457,6 +463,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
         (2, vec!["shm:/a", "--max-duration", "0"], "--max-bag-duration <SECONDS>"),
         (2, vec!["shm:/a", "--max-bag-duration", "0"], "expected more than 0"),
         (2, vec!["shm:/a", "--stop-after", "nan"], "expected more than 0"),
+        (2, vec!["shm:/a", "--custom-data", "seven"], "expected KEY=VALUE"),
         (2, vec!["shm:/a", "zenoh:/a"], "found topic /a twice"),
     ] {
         let message = record(code, &arguments);

@@ -5,23 +5,61 @@ use std::{fmt::Write as _, fs};
 
 use super::root;
 
-/// Label, colour and rows of the table (first cells), whose points are joined.
-const SERIES: [(&str, &str, &[&str]); 6] = [
-    (
-        "eddy: trained for 6, 16, 35 minutes (shipped)",
-        "#0072b2",
-        &["eddy, six minutes", "eddy, 16 minutes", "**eddy, shipped model**"],
-    ),
-    (
-        "MPM restarted: on all of the grid, half, a quarter",
-        "#d55e00",
-        &["MPM restarted", "MPM on half the grid", "MPM on a quarter of the grid"],
-    ),
-    ("MPM with half the substeps", "#e69f00", &["MPM with half the substeps"]),
-    ("NeuralMPM: 6 and 16 minutes", "#009e73", &["NeuralMPM", "NeuralMPM, 16 minutes"]),
-    ("Transolver: 6 and 16 minutes", "#cc79a7", &["Transolver", "Transolver, 16 minutes"]),
-    ("GNS: 6 and 16 minutes", "#56b4e9", &["GNS", "GNS, 16 minutes"]),
+/// A line of the plot.
+struct Series {
+    label: &'static str,
+    colour: &'static str,
+    /// Corners of its marks; none: circles.
+    corners: &'static [[f64; 2]],
+    /// Rows of the table (first cells), whose points are joined; the last one is filled.
+    rows: &'static [&'static str],
+}
+
+const SERIES: [Series; 6] = [
+    Series {
+        label: "eddy: trained for 6, 16, 35 minutes (shipped)",
+        colour: "#0072b2",
+        corners: &[],
+        rows: &["eddy, six minutes", "eddy, 16 minutes", "**eddy, shipped model**"],
+    },
+    Series {
+        label: "MPM restarted: on a quarter of the grid, half, all",
+        colour: "#d55e00",
+        corners: &SQUARE,
+        rows: &["MPM on a quarter of the grid", "MPM on half the grid", "MPM restarted"],
+    },
+    Series {
+        label: "MPM with half the substeps",
+        colour: "#e69f00",
+        corners: &SQUARE,
+        rows: &["MPM with half the substeps"],
+    },
+    Series {
+        label: "NeuralMPM: 6 and 16 minutes",
+        colour: "#009e73",
+        corners: &UP,
+        rows: &["NeuralMPM", "NeuralMPM, 16 minutes"],
+    },
+    Series {
+        label: "Transolver: 6 and 16 minutes",
+        colour: "#cc79a7",
+        corners: &DIAMOND,
+        rows: &["Transolver", "Transolver, 16 minutes"],
+    },
+    Series {
+        label: "GNS: 6 and 16 minutes",
+        colour: "#56b4e9",
+        corners: &DOWN,
+        rows: &["GNS", "GNS, 16 minutes"],
+    },
 ];
+/// Corners of marks, relative to [`RADIUS`].
+const SQUARE: [[f64; 2]; 4] = [[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9]];
+const DIAMOND: [[f64; 2]; 4] = [[0.0, -1.3], [1.3, 0.0], [0.0, 1.3], [-1.3, 0.0]];
+const UP: [[f64; 2]; 3] = [[0.0, -1.2], [1.2, 0.9], [-1.2, 0.9]];
+const DOWN: [[f64; 2]; 3] = [[0.0, 1.2], [1.2, -0.9], [-1.2, -0.9]];
+/// Of a mark (pixels).
+const RADIUS: f64 = 4.0;
 /// Frames ahead, one panel each.
 const PANELS: [&str; 3] = ["1", "20", "100"];
 
@@ -56,9 +94,19 @@ fn cells(line: &str) -> Vec<&str> {
     line.split('|').map(|cell| cell.trim().trim_matches('*')).collect()
 }
 
-fn dots(svg: &mut String, points: &[[f64; 2]], colour: &str) {
-    for [x, y] in points {
-        writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>").unwrap();
+/// Marks with these corners around points, the last one filled.
+fn marks(svg: &mut String, points: &[[f64; 2]], corners: &[[f64; 2]], colour: &str) {
+    for (number, [x, y]) in points.iter().enumerate() {
+        let fill = if number + 1 == points.len() { colour } else { "#ffffff" };
+        let paint = format!("fill=\"{fill}\" stroke=\"{colour}\" stroke-width=\"1.5\"");
+        if corners.is_empty() {
+            writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{RADIUS}\" {paint}/>").unwrap();
+        } else {
+            let corner =
+                |[dx, dy]: &[f64; 2]| format!("{:.1},{:.1}", x + RADIUS * dx, y + RADIUS * dy);
+            let corners: Vec<_> = corners.iter().map(corner).collect();
+            writeln!(svg, "<polygon points=\"{}\" {paint}/>", corners.join(" ")).unwrap();
+        }
     }
 }
 
@@ -100,10 +148,12 @@ pub fn svg() -> String {
             legend_top + (number / 2) as f64 * legend_row,
         ]
     };
-    for error in [0.1, 1.0, 10.0] {
+    for (error, text) in [(0.1, ".1"), (1.0, "1"), (10.0, "10")] {
         let [x, y] = place(0, COST[0], error);
-        words([x - 6.0, y + 4.0], "end", &error.to_string());
+        words([x - 6.0, y + 4.0], "end", text);
     }
+    let [x, y] = place(PANELS.len() - 1, COST[1], 1.0);
+    words([x - 4.0, y - 5.0], "end", "best trivial predictor");
     for (panel, frames) in PANELS.iter().enumerate() {
         let middle = left + panel as f64 * NEXT + width / 2.0;
         let plural = if *frames == "1" { "" } else { "s" };
@@ -116,9 +166,9 @@ pub fn svg() -> String {
     words(
         [left + NEXT + width / 2.0, top + height + 36.0],
         "middle",
-        "ms for a frame of 2,500 particles on one CPU thread",
+        "ms for a frame of 2,500 particles on one CPU thread (filled: the longest training, all of the grid)",
     );
-    for (number, (label, ..)) in SERIES.iter().enumerate() {
+    for (number, Series { label, .. }) in SERIES.iter().enumerate() {
         let [x, y] = legend(number);
         words([x + 12.0, y + 4.0], "start", label);
     }
@@ -136,18 +186,18 @@ pub fn svg() -> String {
             writeln!(svg, "<line x1=\"{x1:.1}\" y1=\"{y:.1}\" x2=\"{x2:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\"/>").unwrap();
         }
     }
-    for (number, (_, colour, rows)) in SERIES.iter().enumerate() {
-        dots(&mut svg, &[legend(number)], colour);
+    for (number, Series { colour, corners, rows, .. }) in SERIES.iter().enumerate() {
+        marks(&mut svg, &[legend(number)], corners, colour);
         for (panel, frames) in PANELS.iter().enumerate() {
             let at = |row| place(panel, value(row, "CPU, ms"), 1.0 - value(row, frames));
             let points: Vec<_> = rows.iter().copied().map(at).collect();
-            dots(&mut svg, &points, colour);
             if points.len() > 1 {
                 let path: Vec<_> = points.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
                 let path = path.join(" ");
                 writeln!(svg, "<polyline points=\"{path}\" fill=\"none\" stroke=\"{colour}\"/>")
                     .unwrap();
             }
+            marks(&mut svg, &points, corners, colour);
         }
     }
     svg + "</svg>\n"

@@ -46,7 +46,8 @@ pub fn clouds(
         [Some(message), cloud.map(Ok)].into_iter().flatten()
     });
     let channels = bag.channels().iter().chain(channels.values());
-    copy(output, channels, bag.auxiliary(), with_clouds, options)
+    let recording = (bag.custom_data(), bag.auxiliary());
+    copy(output, channels, recording, with_clouds, options)
 }
 
 /// The topic on which a node publishes the clouds of a topic of frames.

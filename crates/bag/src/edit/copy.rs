@@ -1,6 +1,6 @@
 //! Copies channels, messages, attachments and metadata records into a new bag.
 
-use std::{path::Path, sync::Arc};
+use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use super::staged::StagedBag;
 use crate::{
@@ -21,17 +21,24 @@ pub struct CopyOptions<'a> {
     pub on_message: &'a mut dyn FnMut() -> bool,
 }
 
-/// Writes a new bag at `output`, which appears when it is complete.
+/// Writes a new bag at `output`, which appears when it is complete. What describes the recording is `custom_data`, and attachments and
+/// metadata records.
 pub(crate) fn copy<'c>(
     output: &Path,
     channels: impl IntoIterator<Item = &'c Arc<Channel>>,
-    auxiliary: impl IntoIterator<Item = Result<AuxiliaryRecord, BagError>>,
+    (custom_data, auxiliary): (
+        BTreeMap<String, String>,
+        impl IntoIterator<Item = Result<AuxiliaryRecord, BagError>>,
+    ),
     messages: impl Iterator<Item = Result<BagMessage, BagError>>,
     options: CopyOptions<'_>,
 ) -> Result<BagSummary, BagError> {
     let mut bag = StagedBag::create(output, options.writer)?;
     for channel in channels {
         bag.writer.channel(channel)?;
+    }
+    for (key, value) in custom_data {
+        bag.writer.set_custom_data(&key, value);
     }
     let mut written = Written::default();
     for record in auxiliary {

@@ -24,5 +24,6 @@ pub fn extract(
     let selected = bag.channels().iter().filter(|channel| {
         selection.topics.as_ref().is_none_or(|topics| topics.contains(&channel.topic))
     });
-    copy(output, selected, bag.auxiliary(), bag.select(selection), options)
+    let recording = (bag.custom_data(), bag.auxiliary());
+    copy(output, selected, recording, bag.select(selection), options)
 }

@@ -27,7 +27,16 @@ pub fn merge(
     let channels = bags.iter().flat_map(|bag| bag.channels());
     let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
     let auxiliary = bags.iter().flat_map(BagReader::auxiliary);
-    copy(output, channels, auxiliary, Merged { inputs }, options)
+    copy(output, channels, (common_custom_data(bags), auxiliary), Merged { inputs }, options)
+}
+
+/// The entries that all bags have.
+fn common_custom_data(bags: &[BagReader]) -> BTreeMap<String, String> {
+    let common = bags.iter().map(BagReader::custom_data).reduce(|mut common, other| {
+        common.retain(|key, value| other.get(key) == Some(value));
+        common
+    });
+    common.unwrap_or_default()
 }
 
 fn check_types(bags: &[BagReader]) -> Result<(), BagError> {

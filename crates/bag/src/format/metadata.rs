@@ -230,9 +230,10 @@ pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
     Ok(Some(read(&path)?.message_count))
 }
 
-/// `custom_data` in the metadata of the bag at `bag`, if it can be read.
-pub(crate) fn custom_data(bag: &Path) -> Option<BTreeMap<String, String>> {
-    read(&bag.join(FILE_NAME)).ok()?.custom_data
+/// `custom_data` in the metadata of the bag at `bag`; empty if it cannot be read.
+pub(crate) fn custom_data(bag: &Path) -> BTreeMap<String, String> {
+    let information = read(&bag.join(FILE_NAME)).ok();
+    information.and_then(|information| information.custom_data).unwrap_or_default()
 }
 
 #[cfg(test)]

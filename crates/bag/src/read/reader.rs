@@ -1,7 +1,7 @@
 //! Topics, messages and frames of a bag.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     error::BagError,
-    format::{channel::Channel, layout},
+    format::{channel::Channel, layout, metadata},
 };
 use eddy_frames::{Frame, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
@@ -60,6 +60,11 @@ impl BagReader {
     /// The MCAP files.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.contents.files.iter().map(|file| file.path.as_path())
+    }
+
+    /// `custom_data` in its `metadata.yaml`; empty without one.
+    pub fn custom_data(&self) -> BTreeMap<String, String> {
+        metadata::custom_data(self.path())
     }
 
     /// Total size of the MCAP files (bytes).

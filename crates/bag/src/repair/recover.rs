@@ -87,7 +87,8 @@ impl Recovery {
         let losses = RefCell::new(losses);
         let auxiliary = bag.auxiliary().filter_map(|record| skip_damage(record, &losses));
         let messages = bag.messages().filter_map(|message| skip_damage(message, &losses));
-        let saved = copy(output, bag.channels(), auxiliary, messages, options)?;
+        let saved =
+            copy(output, bag.channels(), (bag.custom_data(), auxiliary), messages, options)?;
         let mut losses = losses.into_inner();
         let mut losses: Vec<String> =
             std::iter::from_fn(|| losses.pop(bag.path())).map(|error| error.to_string()).collect();

@@ -9,7 +9,9 @@ use eddy_frames::Stamp;
 use eddy_messages::{Message, RosString};
 use proptest::prelude::*;
 
-use crate::support::{Folder, copying, findings, messages, write_foreign, write_split};
+use crate::support::{
+    Folder, copying, findings, messages, recover, word, write_foreign, write_split,
+};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
@@ -103,6 +105,34 @@ fn a_bag_is_split_by_size_and_by_time_and_read_as_one() {
     }
     let one = BagReader::open(&by_time.join("by_time_1.mcap")).unwrap();
     assert_eq!((one.start(), one.end()), (Some(Stamp(1_000_000_000)), Some(Stamp(1_900_000_000))));
+}
+
+#[test]
+fn copies_keep_the_custom_data_that_all_bags_have() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for (name, run) in [("one", "7"), ("two", "8")] {
+        let mut bag = BagWriter::create(&at(name), WriterOptions::default()).unwrap();
+        let topic = bag.topic("/words", RosString::TYPE).unwrap();
+        bag.write(topic, Stamp(1), Stamp(1), &word("once")).unwrap();
+        bag.set_custom_data("run", run.into());
+        bag.set_custom_data("robot", "arm 3: left".into());
+        bag.finish().unwrap();
+    }
+    let open = |name: &str| BagReader::open(&at(name)).unwrap();
+    let custom_data = |name: &str| {
+        let entries = open(name).custom_data().into_iter();
+        entries.map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>()
+    };
+    let all = Selection::default();
+    extract(&open("one"), &all, &at("part"), copying(&mut || true)).unwrap();
+    assert_eq!(custom_data("part"), ["robot=arm 3: left", "run=7"]);
+    recover(&at("one"), &at("recovered")).unwrap();
+    assert_eq!(custom_data("recovered"), ["robot=arm 3: left", "run=7"]);
+    merge(&[open("one"), open("two")], &at("both"), copying(&mut || true)).unwrap();
+    assert_eq!(custom_data("both"), ["robot=arm 3: left"]);
+    let file = open("one").files().next().unwrap().to_owned();
+    assert!(BagReader::open(&file).unwrap().custom_data().is_empty(), "a file of a bag");
 }
 
 #[test]

@@ -16,8 +16,8 @@ use xxhash_rust::xxh3::Xxh3;
 use super::{
     DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
     frame_store::{self, BLOCK, Block, StreamLocation},
-    simulate::ScenesBeside,
     statistics::Bounds,
+    stiffness::{self, Stiffnesses},
 };
 use eddy_bag::{BagReader, find_bags};
 use eddy_frames::{Frame, Stamp};
@@ -111,9 +111,10 @@ pub(super) fn load(
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
-    let mut beside = ScenesBeside::default();
-    for PartialStream { stream, .. } in &mut partials {
-        stream.stiffness = beside.stiffness(&stream.source, stream.id);
+    let stated = bags.iter().map(stiffness::stated).collect::<Result<Vec<_>, _>>()?;
+    let mut stiffnesses = Stiffnesses::default();
+    for PartialStream { stream, location, .. } in &mut partials {
+        stream.stiffness = stiffnesses.of(stated[location.bag], &stream.source, stream.id);
     }
     if let Some(first) = partials.first() {
         for partial in &partials {

@@ -6,7 +6,8 @@
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two parts.
 //! 5. [`statistics`]: range, mean and standard deviation of each feature over the training part.
 //! 6. [`simulate`]: simulated scenes as a data set: one bag each, in a folder that can be resumed.
-//! 7. [`memory`]: available memory.
+//! 7. [`stiffness`]: where the stiffness of a stream is known from.
+//! 8. [`memory`]: available memory.
 //!
 //! Results computed from a data set are bit-identical whether its frames are in memory or on disk.
 
@@ -16,6 +17,7 @@ mod memory;
 pub mod simulate;
 mod split;
 mod statistics;
+mod stiffness;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -33,10 +35,11 @@ pub use frame_store::{CacheUsage, FrameStore};
 pub use memory::available_memory;
 pub use split::Part;
 pub use statistics::Bounds;
+pub use stiffness::{STIFFNESS, stiffness_of};
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use eddy_bag::{BagError, BagReader};
+use eddy_bag::BagError;
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::Normalization,
@@ -100,7 +103,7 @@ pub enum DatasetError {
     },
     /// The stiffness of a stream is not known.
     #[error(
-        "{}: stream {stream}: stiffness: found nothing, expected manifest.json of `eddy simulate` with this scene beside the bag",
+        "{}: stream {stream}: stiffness: found nothing, expected {STIFFNESS} in custom_data of metadata.yaml, or manifest.json of `eddy simulate` with this scene beside the bag",
         path.display()
     )]
     Stiffness {
@@ -108,6 +111,14 @@ pub enum DatasetError {
         path: PathBuf,
         /// The stream.
         stream: u64,
+    },
+    /// The stiffness in the metadata of a bag is none.
+    #[error("{}/metadata.yaml: custom_data.{STIFFNESS}: found {found:?}, expected a positive number", path.display())]
+    StatedStiffness {
+        /// The bag.
+        path: PathBuf,
+        /// The value.
+        found: String,
     },
     /// A stream on disk has changed since the data set was loaded.
     #[error("{}: stream {stream}: its frames have changed since they were first read", path.display())]
@@ -192,17 +203,6 @@ pub fn load_trajectories(
     progress: &mut (dyn FnMut(u64, u64) + Send),
 ) -> Result<Vec<Trajectory>, DatasetError> {
     load::load(paths, memory, progress)
-}
-
-/// The stiffness of the first stream of a topic of a bag (density x velocity^2): the bag of a scene has one.
-///
-/// # Errors
-/// [`DatasetError::Stiffness`] if it is not known, [`DatasetError::Bag`] if the bag cannot be read.
-pub fn stiffness_of(bag: &BagReader, topic: &str) -> Result<f32, DatasetError> {
-    let first = bag.frames(topic)?.next().transpose()?;
-    let stream = first.map_or(0, |frame| frame.stream);
-    let unknown = || DatasetError::Stiffness { path: bag.path().to_owned(), stream };
-    simulate::ScenesBeside::default().stiffness(bag.path(), stream).ok_or_else(unknown)
 }
 
 fn check_same_setup(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {

@@ -5,7 +5,7 @@ use std::{
 
 use super::*;
 use crate::test_streams::simulated;
-use eddy_bag::{BagWriter, Compression, WriterOptions};
+use eddy_bag::{BagReader, BagWriter, Compression, WriterOptions};
 use eddy_frames::{Domain, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::{Extent, Preset};
@@ -40,11 +40,44 @@ fn stream(id: u64) -> Stream {
     }
 }
 
+/// Replaces what `metadata.yaml` of a bag says about the stiffness of its streams.
+fn restate_stiffness(bag: &Path, with: &str) {
+    let path = bag.join("metadata.yaml");
+    let text = fs::read_to_string(&path).unwrap();
+    let stated = text.lines().find(|line| line.trim().starts_with("eddy_stiffness: ")).unwrap();
+    fs::write(&path, text.replace(stated.trim(), with)).unwrap();
+}
+
+#[test]
+fn a_stream_has_the_stiffness_that_the_metadata_of_its_bag_says() {
+    let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
+    let (folder, streams) = simulated(extent, 2);
+    let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
+    fs::remove_file(folder.path().join("manifest.json")).unwrap();
+    let load = || load_trajectories(&[folder.path().into()], u64::MAX, &mut |_, _| ());
+    for (stream, loaded) in streams.iter().zip(load().unwrap()) {
+        assert_eq!(loaded.stiffness, Some(scenes[&stream.id].materials.stiffness));
+    }
+    // As yaml-cpp writes the value in rosbag2: without quotation marks.
+    let bag = streams[1].source.clone();
+    restate_stiffness(&bag, "eddy_stiffness: 2.5e4");
+    assert_eq!(load().unwrap()[1].stiffness, Some(2.5e4));
+    for wrong in ["stiff", "-3", "inf", ""] {
+        restate_stiffness(&bag, &format!("eddy_stiffness: '{wrong}'"));
+        let error = load().unwrap_err().to_string();
+        let expected = format!("found {wrong:?}, expected a positive number");
+        let field = "metadata.yaml: custom_data.eddy_stiffness";
+        assert_eq!(error, format!("{}/{field}: {expected}", bag.display()));
+    }
+}
+
 #[test]
 fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
     let (folder, streams) = simulated(extent, 2);
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
+    // As an older version has left them.
+    streams.iter().for_each(|stream| restate_stiffness(&stream.source, "run: seven"));
     for stream in &streams {
         assert_eq!(stream.stiffness, Some(scenes[&stream.id].materials.stiffness));
         assert_eq!(stream.cut(1..3).unwrap().stiffness, stream.stiffness);
@@ -59,7 +92,7 @@ fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
     let renamed = load(u64::MAX);
     assert_eq!((renamed[0].stiffness, renamed[1].stiffness), (streams[0].stiffness, None));
     let message = renamed[1].known_stiffness().unwrap_err().to_string();
-    let expected = "expected manifest.json of `eddy simulate` with this scene beside the bag";
+    let expected = "expected eddy_stiffness in custom_data of metadata.yaml, or manifest.json of `eddy simulate` with this scene beside the bag";
     assert!(
         message.ends_with(&format!("other: stream 1: stiffness: found nothing, {expected}")),
         "{message}"

@@ -85,7 +85,8 @@ pub struct NetworkConfig {
     pub cell_width: f32,
     /// Particle model: channels of each level of the grid, finest first; two to four levels.
     pub channels: Vec<usize>,
-    /// Particle model: whether the network is conditioned on the stiffness of each stream, which manifest.json beside its bag must have.
+    /// Particle model: whether the network is conditioned on the stiffness of each stream, which custom_data.eddy_stiffness in
+    /// metadata.yaml of its bag or manifest.json beside it must have.
     #[serde(default)]
     pub stiffness: bool,
     /// Particle model that is conditioned on the stiffness: two to four ascending stiffnesses (density x velocity^2) that have weights of

@@ -12,7 +12,7 @@ use super::{
     manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start},
     staging::Staging,
 };
-use crate::dataset::{FIELDS_TOPIC, TRUTH_TOPIC};
+use crate::dataset::{FIELDS_TOPIC, STIFFNESS, TRUTH_TOPIC};
 use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
@@ -107,6 +107,7 @@ impl Recording {
     pub fn begin(store: &Store, start: &Start) -> Result<Self, SimulateError> {
         let place = store.staging.place(&directory(start.id))?;
         let mut writer = BagWriter::create(&place, WriterOptions::default())?;
+        writer.set_custom_data(STIFFNESS, start.scene.materials.stiffness.to_string());
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
         let fields = store
             .records_fields
