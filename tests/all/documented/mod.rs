@@ -55,6 +55,7 @@ pages! {
     how_to_watch: "docs/src/how-to/view.md",
     how_to_evaluate: "docs/src/how-to/evaluate.md",
     how_to_estimate_errors: "docs/src/how-to/error_estimates.md",
+    how_to_state_the_stiffness: "docs/src/how-to/stiffness.md",
     how_to_secure_zenoh: "docs/src/how-to/secure_zenoh.md",
     how_to_set_up_a_shell: "docs/src/how-to/shell.md",
     how_to_deploy: "docs/src/deploy/README.md",

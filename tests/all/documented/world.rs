@@ -72,7 +72,12 @@ impl World {
     /// A folder with the files of a clone, and eddy in the path.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["bags/sample", "checkpoints/particle-mingru", "launch_configs"] {
+        for name in [
+            "bags/sample",
+            "checkpoints/particle-mingru",
+            "checkpoints/particle-mingru-conditioned",
+            "launch_configs",
+        ] {
             copy(&root().join(name), &folder.path().join(name));
         }
         fs::create_dir(folder.path().join(".bin")).unwrap();
