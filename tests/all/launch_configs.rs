@@ -36,6 +36,9 @@ files! {
         train(name, "frame min");
     },
     soft_matter_is_trained_with_its_settings: "train_soft.toml" => |name| train_particles(name, &[]),
+    soft_matter_is_trained_at_once_with_its_settings: "train_soft_once.toml" => |name| {
+        train_particles(name, &[]);
+    },
     soft_matter_is_trained_further_with_its_settings: "train_soft_long.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru"]);
     },
