@@ -85,6 +85,13 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
     let custom_data: Vec<_> = bag.custom_data().into_iter().collect();
     let entry = |key: &str, value: &str| (key.to_owned(), value.to_owned());
     assert_eq!(custom_data, [entry("eddy_stiffness", "1e5"), entry("robot", "arm=3")]);
+    let bag_path = world.bag();
+    let info = |options: &[&str]| {
+        succeed([&["bag", "info", bag_path.to_str().unwrap()], options].concat())
+    };
+    assert!(info(&[]).contains("custom data  robot: arm=3\n"));
+    let info: serde_json::Value = serde_json::from_str(&info(&["--json"])).unwrap();
+    assert_eq!(info["custom_data"]["eddy_stiffness"], "1e5");
     let recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
     assert_eq!(recorded, [word("one"), word("two")]);
 }

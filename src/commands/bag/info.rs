@@ -1,6 +1,9 @@
 //! `eddy bag info`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use serde::Serialize;
 
@@ -45,6 +48,9 @@ fn print(bag: &BagReader, survey: &Survey) {
             println!("{name:<12} {} ({} s)", date(time), exact(time));
         }
     }
+    for (key, value) in bag.custom_data() {
+        println!("custom data  {key}: {}", value.escape_debug());
+    }
     let titles =
         ["topic", "messages", "rate (1/s)", "size", "streams", "particles", "dt (s)", "type"];
     let mut table = Table::new("topics", titles);
@@ -81,6 +87,8 @@ struct Info {
     start: Option<TimeInfo>,
     /// Log time of the last message.
     end: Option<TimeInfo>,
+    /// `custom_data` of `metadata.yaml`.
+    custom_data: BTreeMap<String, String>,
     /// Whether the bag is still being written, or its writer was killed.
     unfinished: bool,
     topics: Vec<TopicEntry>,
@@ -134,6 +142,7 @@ impl Info {
             duration: bag.duration(),
             start: bag.start().map(time),
             end: bag.end().map(time),
+            custom_data: bag.custom_data(),
             unfinished: bag.is_unfinished(),
             topics: topics.map(|(topic, found)| TopicEntry::new(topic, found)).collect(),
         }
