@@ -301,7 +301,7 @@ pub struct RecordArgs {
     pub compression: Compression,
     /// Entries of custom_data in metadata.yaml, as for `ros2 bag record`; eddy_stiffness=E is Young's modulus of the recorded matter
     /// (density x velocity^2), for checkpoints that are conditioned on it.
-    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = values::entry)]
+    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = values::key_value)]
     pub custom_data: Vec<(String, String)>,
     /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`
     /// [default: what the publishers offer].

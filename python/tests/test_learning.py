@@ -67,7 +67,11 @@ def test_a_network_is_conditioned_on_the_stiffness_of_each_scene_and_of_each_str
     given = eddy.evaluate(bags, tmp_path / "model", horizon=5, starts=2, stiffness=3e5).to_dict()
     assert own["predictors"][0]["skill"] != given["predictors"][0]["skill"]
     (bags / "manifest.json").unlink()
-    with pytest.raises(eddy.TrainError, match="scene_.*stiffness: found nothing, expected manifest.json"):
+    stated = eddy.evaluate(bags, tmp_path / "model", horizon=5, starts=2).to_dict()
+    assert stated["predictors"][0]["skill"] == own["predictors"][0]["skill"]
+    for metadata in bags.glob("*/metadata.yaml"):
+        metadata.write_text(metadata.read_text().replace("eddy_stiffness: ", "run: "))
+    with pytest.raises(eddy.TrainError, match="scene_.*stiffness: found nothing, expected eddy_stiffness"):
         eddy.train(bags, tmp_path / "other", conditioned)
 
 

@@ -77,6 +77,10 @@ pub struct NewBagArgs {
     /// Compression of chunks [default: as in the input; zstd if mixed].
     #[arg(long, value_enum)]
     pub compression: Option<Compression>,
+    /// Entries of custom_data in metadata.yaml, beside those of the input; eddy_stiffness=E is Young's modulus of the recorded matter
+    /// (density x velocity^2).
+    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = super::values::key_value)]
+    pub custom_data: Vec<(String, String)>,
 }
 
 /// `eddy bag recover`

@@ -16,7 +16,7 @@ pub(super) fn positive(text: &str) -> Result<f64, String> {
 }
 
 /// A key and its value.
-pub(super) fn entry(text: &str) -> Result<(String, String), String> {
+pub(super) fn key_value(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((key, value)) if !key.is_empty() => Ok((key.to_owned(), value.to_owned())),
         _ => Err("expected KEY=VALUE".to_owned()),

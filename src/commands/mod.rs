@@ -31,10 +31,20 @@ pub(crate) use eddy_frames::counted;
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
-use std::{collections::BTreeSet, path::Path, thread, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+    thread,
+    time::Duration,
+};
 
 use anyhow::{Context as _, bail};
-use eddy_bag::{QosOverrides, read_qos_overrides};
+use eddy_bag::{
+    QosOverrides,
+    custom_data::{LOSSES, STIFFNESS},
+    read_qos_overrides,
+};
+use eddy_evaluation::dataset::parse_stiffness;
 use eddy_frames::clock::Clock;
 use eddy_messages::{Log, Message as _, type_support};
 use eddy_node::{
@@ -68,6 +78,30 @@ pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
 pub(crate) fn qos_overrides(file: Option<&Path>) -> anyhow::Result<QosOverrides> {
     let overrides = file.map(read_qos_overrides).transpose();
     Ok(overrides.context("--qos-profile-overrides-path")?.unwrap_or_default())
+}
+
+/// The entries for `custom_data` in `metadata.yaml` that a command was given.
+pub(crate) fn checked_custom_data(
+    given: Vec<(String, String)>,
+) -> anyhow::Result<BTreeMap<String, String>> {
+    let mut entries = BTreeMap::new();
+    for (key, value) in given {
+        let expected = if LOSSES.contains(&key.as_str()) {
+            Some("another key: eddy writes this one")
+        } else if key == STIFFNESS && parse_stiffness(&value).is_none() {
+            Some("a positive number")
+        } else if entries.contains_key(&key) {
+            Some("each key once")
+        } else {
+            None
+        };
+        if let Some(expected) = expected {
+            let message = format!("--custom-data: found {key}={value}, expected {expected}");
+            return Err(Usage::new(message).into());
+        }
+        entries.insert(key, value);
+    }
+    Ok(entries)
 }
 
 /// Publishes the log of a node on `/rosout` of each transport that ROS uses.

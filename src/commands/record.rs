@@ -11,11 +11,14 @@ use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{
-    Interrupt, has_no_parameters, leaves_the_process,
+    Interrupt, checked_custom_data, has_no_parameters, leaves_the_process,
     output::{Output, OutputKind, unused},
 };
 use crate::cli::RecordArgs;
-use eddy_bag::{BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic};
+use eddy_bag::{
+    BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic,
+    custom_data::{TOPICS_NOT_RECORDED, TOPICS_RECORDED_IN_PART},
+};
 use eddy_frames::{
     clock::{self, Clock},
     date::Utc,
@@ -33,10 +36,6 @@ use eddy_transport::{SeenTopic, Transports};
 /// How long to look for the publishers of the links, which announce type and QoS. Without a publisher, the type of a link
 /// follows from its name.
 const FIND_TIMEOUT: Duration = Duration::from_millis(700);
-/// Key in `custom_data` of `metadata.yaml`: links that could not be recorded.
-const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
-/// The same for links that failed while they were recorded.
-const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
 
 /// Records until a limit, a failure or a signal, and closes the bag in each case.
 pub fn run(
@@ -50,6 +49,7 @@ pub fn run(
     let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
+    let custom_data = checked_custom_data(mem::take(&mut args.custom_data))?;
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
     let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
     let opener =
@@ -77,8 +77,8 @@ pub fn run(
     let place = args.output.clone().unwrap_or_else(default_output);
     let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;
     let mut recorder = Recorder::new(BagWriter::create(&place, options)?, clock::wall());
-    for (key, value) in &args.custom_data {
-        recorder.set_custom_data(key, value.clone());
+    for (key, value) in custom_data {
+        recorder.set_custom_data(&key, value);
     }
     let clock = Clock::start();
     let line = live_line(quiet);

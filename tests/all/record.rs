@@ -75,25 +75,51 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
         "zenoh",
         "--max-messages",
         "2",
-        "--custom-data",
-        "eddy_stiffness=1e5",
-        "robot=arm=3",
     ]));
     assert!(recorder.wait().success());
     let bag = BagReader::open(&world.bag()).unwrap();
     assert_eq!(bag.topics()[0].offered, [latched]);
-    let custom_data: Vec<_> = bag.custom_data().into_iter().collect();
-    let entry = |key: &str, value: &str| (key.to_owned(), value.to_owned());
-    assert_eq!(custom_data, [entry("eddy_stiffness", "1e5"), entry("robot", "arm=3")]);
-    let bag_path = world.bag();
-    let info = |options: &[&str]| {
-        succeed([&["bag", "info", bag_path.to_str().unwrap()], options].concat())
-    };
-    assert!(info(&[]).contains("custom data  robot: arm=3\n"));
-    let info: serde_json::Value = serde_json::from_str(&info(&["--json"])).unwrap();
-    assert_eq!(info["custom_data"]["eddy_stiffness"], "1e5");
     let recorded: Vec<_> = bag.messages().map(|message| message.unwrap().data).collect();
     assert_eq!(recorded, [word("one"), word("two")]);
+}
+
+#[test]
+fn given_custom_data_is_in_the_bag_and_in_copies_and_shown() {
+    let world = World::new("record");
+    let publisher = world.publisher("zenoh", "words", RosString::TYPE);
+    let mut recorder = Process::start(&mut world.record(&[
+        &format!("zenoh:{}/words", world.prefix),
+        "--max-messages",
+        "1",
+        "--custom-data",
+        "eddy_stiffness=1e5",
+        "robot=arm=3",
+    ]));
+    wait_for_a_subscriber(&*publisher);
+    let mut publisher = publisher;
+    publisher.publish_cdr(&word("one")).unwrap();
+    assert!(recorder.wait().success());
+    let recorded = world.bag();
+    let shown = |bag: &Path| {
+        let bag = bag.to_str().unwrap();
+        let json = succeed(["bag", "info", bag, "--json"]);
+        let info: serde_json::Value = serde_json::from_str(&json).unwrap();
+        (succeed(["bag", "info", bag]), info["custom_data"].to_string())
+    };
+    let (text, entries) = shown(&recorded);
+    assert!(text.contains("custom data  robot: arm=3\n"), "{text}");
+    assert_eq!(entries, r#"{"eddy_stiffness":"1e5","robot":"arm=3"}"#);
+
+    let [recorded, softer] = [recorded, world.bag().with_extension("softer")];
+    let [from, to] = [&recorded, &softer].map(|bag| bag.to_str().unwrap());
+    let stated = ["--custom-data", "eddy_stiffness=1e3"];
+    succeed([&["bag", "cut", from, "--output", to], &stated[..]].concat());
+    assert_eq!(shown(&softer).1, r#"{"eddy_stiffness":"1e3","robot":"arm=3"}"#);
+    let both = world.bag().with_extension("both");
+    let said = succeed(["bag", "merge", from, to, "--output", both.to_str().unwrap()]);
+    let expected = "not kept, since not all bags have the same: custom data eddy_stiffness\n";
+    assert!(said.contains(expected), "{said}");
+    assert_eq!(shown(&both).1, r#"{"robot":"arm=3"}"#);
 }
 
 #[test]
@@ -471,6 +497,13 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
         (2, vec!["shm:/a", "--max-bag-duration", "0"], "expected more than 0"),
         (2, vec!["shm:/a", "--stop-after", "nan"], "expected more than 0"),
         (2, vec!["shm:/a", "--custom-data", "seven"], "expected KEY=VALUE"),
+        (2, vec!["shm:/a", "--custom-data", "eddy_stiffness=soft"], "expected a positive number"),
+        (
+            2,
+            vec!["shm:/a", "--custom-data", "run=7", "run=8"],
+            "found run=8, expected each key once",
+        ),
+        (2, vec!["shm:/a", "--custom-data", "eddy_topics_not_recorded=/a"], "eddy writes this one"),
         (2, vec!["shm:/a", "zenoh:/a"], "found topic /a twice"),
     ] {
         let message = record(code, &arguments);

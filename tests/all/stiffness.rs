@@ -114,11 +114,22 @@ fn a_conditioned_network_takes_the_stiffness_of_each_scene_or_the_one_that_is_gi
     succeed([&calibrate[..], &["--stiffness", "3e5"]].concat());
     assert_ne!(errors(), own);
 
-    // The bags alone do not say it.
+    // The metadata of the bags says it, too.
+    let skill = world.skill(&[]);
     for data in ["seen", "unseen"] {
         fs::remove_file(world.path(&format!("{data}/manifest.json"))).unwrap();
     }
-    let expected = "stiffness: found nothing, expected manifest.json of `eddy simulate`";
+    assert!(found == world.predicted("alone", &[]));
+    assert_eq!(world.skill(&[]), skill);
+    for data in ["seen", "unseen"] {
+        for entry in fs::read_dir(world.path(data)).unwrap() {
+            let metadata = entry.unwrap().path().join("metadata.yaml");
+            let Ok(text) = fs::read_to_string(&metadata) else { continue };
+            assert!(text.contains("eddy_stiffness: "), "{text}");
+            fs::write(metadata, text.replace("eddy_stiffness: ", "run: ")).unwrap();
+        }
+    }
+    let expected = "stiffness: found nothing, expected eddy_stiffness in custom_data of metadata.yaml, or manifest.json of `eddy simulate`";
     for (arguments, words) in [
         (world.train("seen", "again"), ["seen/scene_0000", "beside the bag"]),
         (world.eval(&model, &[]), ["unseen/scene_0000", "or `stiffness` given"]),

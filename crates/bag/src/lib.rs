@@ -23,6 +23,7 @@ pub use edit::{
 pub use error::BagError;
 pub use format::{
     channel::{Channel, Schema},
+    custom_data,
     layout::find_bags,
     qos::{QosOverrides, read_qos_overrides},
     summary::{BagSummary, WrittenFile, WrittenTopic},

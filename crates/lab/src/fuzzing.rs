@@ -2,6 +2,7 @@
 //! `tests/fuzz`.
 
 use std::{
+    collections::BTreeMap,
     fs,
     num::NonZeroUsize,
     path::{Path, PathBuf},
@@ -122,14 +123,22 @@ fn bag(bytes: &[u8]) {
         let mut survey = Survey::of(&bag, |_| ());
         survey.check_files(&bag);
         let on_message: &mut dyn FnMut() -> bool = &mut || true;
-        let options = CopyOptions { writer: WriterOptions::default(), on_message };
+        let options = CopyOptions {
+            writer: WriterOptions::default(),
+            custom_data: BTreeMap::new(),
+            on_message,
+        };
         if let Ok(copy) = extract(&bag, &Selection::default(), &at("copy"), options) {
             assert_eq!(copy.messages, read as u64, "a copy has every message");
         }
     }
     if let Ok(recovery) = Recovery::open(&file, &mut |_| true) {
         let on_message: &mut dyn FnMut() -> bool = &mut || true;
-        let options = CopyOptions { writer: WriterOptions::default(), on_message };
+        let options = CopyOptions {
+            writer: WriterOptions::default(),
+            custom_data: BTreeMap::new(),
+            on_message,
+        };
         if let Ok(saved) = recovery.save(&at("saved"), options) {
             let bag = BagReader::open(&at("saved")).expect("recovered bags can be opened");
             assert!(bag.damage().is_none(), "recovered bags are undamaged: {:?}", bag.damage());

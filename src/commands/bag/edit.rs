@@ -1,6 +1,9 @@
 //! `eddy bag cut`, `merge`, `filter` and `cloud`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, ensure};
 
@@ -8,14 +11,14 @@ use super::{export::stem, report, watch, writer_options};
 use crate::{
     cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
     commands::{
-        Interrupt,
+        Interrupt, checked_custom_data,
         output::{Output, OutputKind},
         progress_bar,
     },
 };
 use eddy_bag::{
-    BagError, BagReader, BagSummary, BagTime, CopyOptions, Selection, TopicFilter, clouds, extract,
-    merge as merged, topics_without_cloud,
+    BagError, BagReader, BagSummary, BagTime, CopyOptions, Selection, TopicFilter, clouds,
+    custom_data::LOSSES, extract, merge as merged, topics_without_cloud,
 };
 use eddy_frames::Stamp;
 use eddy_messages::{Message, ParticleFrame};
@@ -86,7 +89,11 @@ pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> any
         Usage::new(format_args!("--cloud: found {} bags, expected one", bags.len()))
     })?;
     let output = output.unwrap_or_else(|| PathBuf::from(format!("{stem}_cloud")));
-    cloud(&CloudArgs { bag, new: NewBagArgs { output, force, compression } }, quiet, interrupt)
+    cloud(
+        &CloudArgs { bag, new: NewBagArgs { output, force, compression, custom_data: Vec::new() } },
+        quiet,
+        interrupt,
+    )
 }
 
 /// Opens an undamaged bag.
@@ -108,14 +115,21 @@ fn copy(
     work: impl FnOnce(&Path, CopyOptions<'_>) -> Result<BagSummary, BagError>,
 ) -> anyhow::Result<()> {
     let inputs: Vec<PathBuf> = bags.iter().map(|bag| bag.path().to_owned()).collect();
+    let custom_data = checked_custom_data(new.custom_data.clone())?;
     let room = Output::at(&new.output, OutputKind::Bag, new.force, &inputs)?;
     let messages = bags.iter().map(BagReader::message_count).sum();
     let bar = progress_bar(messages, "messages", quiet);
     let writer = writer_options(new, bags);
-    let outcome =
-        work(&new.output, CopyOptions { writer, on_message: &mut watch(&bar, interrupt) });
+    let options = CopyOptions { writer, custom_data, on_message: &mut watch(&bar, interrupt) };
+    let outcome = work(&new.output, options);
     bar.finish_and_clear();
-    report(&outcome?);
+    let summary = outcome?;
+    report(&summary);
+    let found: BTreeSet<_> = bags.iter().flat_map(|bag| bag.custom_data().keys()).collect();
+    let is_kept = |key: &str| LOSSES.contains(&key) || summary.custom_data.contains_key(key);
+    for key in found.into_iter().filter(|key| !is_kept(key)) {
+        println!("not kept, since not all bags have the same: custom data {key}");
+    }
     room.replaced();
     Ok(())
 }

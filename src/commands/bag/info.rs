@@ -49,7 +49,7 @@ fn print(bag: &BagReader, survey: &Survey) {
         }
     }
     for (key, value) in bag.custom_data() {
-        println!("custom data  {key}: {}", value.escape_debug());
+        println!("custom data  {}: {}", key.escape_debug(), value.escape_debug());
     }
     let titles =
         ["topic", "messages", "rate (1/s)", "size", "streams", "particles", "dt (s)", "type"];
@@ -142,7 +142,7 @@ impl Info {
             duration: bag.duration(),
             start: bag.start().map(time),
             end: bag.end().map(time),
-            custom_data: bag.custom_data(),
+            custom_data: bag.custom_data().clone(),
             unfinished: bag.is_unfinished(),
             topics: topics.map(|(topic, found)| TopicEntry::new(topic, found)).collect(),
         }

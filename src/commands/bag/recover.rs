@@ -6,7 +6,7 @@ use super::{report, watch, watch_bytes, writer_options};
 use crate::{
     cli::RecoverArgs,
     commands::{
-        Interrupt,
+        Interrupt, checked_custom_data,
         output::{Output, OutputKind},
         progress_bar,
     },
@@ -22,6 +22,7 @@ pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     let found = Recovery::open(&args.bag, &mut watch_bytes(&bar, interrupt));
     bar.finish_and_clear();
     let found = found?;
+    let custom_data = checked_custom_data(args.new.custom_data.clone())?;
     let room = Output::at(
         &args.new.output,
         OutputKind::Bag,
@@ -30,7 +31,7 @@ pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     )?;
     let writer = writer_options(&args.new, std::slice::from_ref(found.bag()));
     let bar = progress_bar(found.bag().message_count(), "messages", quiet);
-    let options = CopyOptions { writer, on_message: &mut watch(&bar, interrupt) };
+    let options = CopyOptions { writer, custom_data, on_message: &mut watch(&bar, interrupt) };
     let outcome = found.save(&args.new.output, options);
     bar.finish_and_clear();
     let recovered = outcome?;

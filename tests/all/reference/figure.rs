@@ -58,7 +58,7 @@ const SQUARE: [[f64; 2]; 4] = [[-0.9, -0.9], [0.9, -0.9], [0.9, 0.9], [-0.9, 0.9
 const DIAMOND: [[f64; 2]; 4] = [[0.0, -1.3], [1.3, 0.0], [0.0, 1.3], [-1.3, 0.0]];
 const UP: [[f64; 2]; 3] = [[0.0, -1.2], [1.2, 0.9], [-1.2, 0.9]];
 const DOWN: [[f64; 2]; 3] = [[0.0, 1.2], [1.2, -0.9], [-1.2, -0.9]];
-/// Of a mark (pixels).
+/// Radius of a mark (pixels).
 const RADIUS: f64 = 4.0;
 /// Frames ahead, one panel each.
 const PANELS: [&str; 3] = ["1", "20", "100"];

@@ -87,7 +87,7 @@ fn a_stream_whose_stiffness_is_not_known_is_named_if_the_network_is_conditioned_
         stream.stiffness = Some(1e3);
     }
     let message = run(&config, &known, folder.path()).unwrap_err().to_string();
-    let expected = "expected manifest.json of `eddy simulate` with this scene beside the bag";
+    let expected = "expected eddy_stiffness in custom_data of metadata.yaml, or manifest.json of `eddy simulate` with this scene beside the bag";
     assert_eq!(message, format!("analytic: stream 7: stiffness: found nothing, {expected}"));
     assert!(files(folder.path()).is_empty());
 }

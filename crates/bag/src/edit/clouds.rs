@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
-use super::copy::{CopyOptions, copy};
+use super::copy::{CopyOptions, Recording, copy};
 use crate::{
     error::BagError,
     format::{channel::Channel, summary::BagSummary},
@@ -46,7 +46,8 @@ pub fn clouds(
         [Some(message), cloud.map(Ok)].into_iter().flatten()
     });
     let channels = bag.channels().iter().chain(channels.values());
-    let recording = (bag.custom_data(), bag.auxiliary());
+    let recording =
+        Recording { custom_data: bag.custom_data().clone(), auxiliary: bag.auxiliary() };
     copy(output, channels, recording, with_clouds, options)
 }
 

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, path::Path, sync::Arc};
 use super::staged::StagedBag;
 use crate::{
     error::BagError,
-    format::{channel::Channel, summary::BagSummary},
+    format::{channel::Channel, custom_data::LOSSES, summary::BagSummary},
     read::{
         auxiliary::{AuxiliaryRecord, Written},
         messages::BagMessage,
@@ -17,19 +17,27 @@ use crate::{
 pub struct CopyOptions<'a> {
     /// Options of the new bag.
     pub writer: WriterOptions,
+    /// Entries to set in its `custom_data`, beside those of the old bags.
+    pub custom_data: BTreeMap<String, String>,
     /// Called after each message; `false` stops the copy with [`BagError::Interrupted`].
     pub on_message: &'a mut dyn FnMut() -> bool,
 }
 
-/// Writes a new bag at `output`, which appears when it is complete. What describes the recording is `custom_data`, and attachments and
-/// metadata records.
+/// What describes a recording, beside its messages.
+pub(crate) struct Recording<A> {
+    /// Entries of `custom_data` in `metadata.yaml`; [`LOSSES`] are left out of copies.
+    pub(crate) custom_data: BTreeMap<String, String>,
+    /// Attachments and metadata records.
+    pub(crate) auxiliary: A,
+}
+
+/// Writes a new bag at `output`, which appears when it is complete.
 pub(crate) fn copy<'c>(
     output: &Path,
     channels: impl IntoIterator<Item = &'c Arc<Channel>>,
-    (custom_data, auxiliary): (
-        BTreeMap<String, String>,
+    Recording { mut custom_data, auxiliary }: Recording<
         impl IntoIterator<Item = Result<AuxiliaryRecord, BagError>>,
-    ),
+    >,
     messages: impl Iterator<Item = Result<BagMessage, BagError>>,
     options: CopyOptions<'_>,
 ) -> Result<BagSummary, BagError> {
@@ -37,6 +45,8 @@ pub(crate) fn copy<'c>(
     for channel in channels {
         bag.writer.channel(channel)?;
     }
+    LOSSES.iter().for_each(|key| drop(custom_data.remove(*key)));
+    custom_data.extend(options.custom_data);
     for (key, value) in custom_data {
         bag.writer.set_custom_data(&key, value);
     }

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, iter::Peekable, path::Path};
 
-use super::copy::{CopyOptions, copy};
+use super::copy::{CopyOptions, Recording, copy};
 use crate::{
     error::BagError,
     format::{channel::Channel, summary::BagSummary},
@@ -27,12 +27,13 @@ pub fn merge(
     let channels = bags.iter().flat_map(|bag| bag.channels());
     let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
     let auxiliary = bags.iter().flat_map(BagReader::auxiliary);
-    copy(output, channels, (common_custom_data(bags), auxiliary), Merged { inputs }, options)
+    let recording = Recording { custom_data: common_custom_data(bags), auxiliary };
+    copy(output, channels, recording, Merged { inputs }, options)
 }
 
 /// The entries that all bags have.
 fn common_custom_data(bags: &[BagReader]) -> BTreeMap<String, String> {
-    let common = bags.iter().map(BagReader::custom_data).reduce(|mut common, other| {
+    let common = bags.iter().map(|bag| bag.custom_data().clone()).reduce(|mut common, other| {
         common.retain(|key, value| other.get(key) == Some(value));
         common
     });

@@ -230,10 +230,13 @@ pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
     Ok(Some(read(&path)?.message_count))
 }
 
-/// `custom_data` in the metadata of the bag at `bag`; empty if it cannot be read.
-pub(crate) fn custom_data(bag: &Path) -> BTreeMap<String, String> {
-    let information = read(&bag.join(FILE_NAME)).ok();
-    information.and_then(|information| information.custom_data).unwrap_or_default()
+/// `custom_data` in the metadata of the bag at `bag`; empty without `metadata.yaml`.
+pub(crate) fn custom_data(bag: &Path) -> Result<BTreeMap<String, String>, BagError> {
+    let path = bag.join(FILE_NAME);
+    if !exists(&path)? {
+        return Ok(BTreeMap::new());
+    }
+    Ok(read(&path)?.custom_data.unwrap_or_default())
 }
 
 #[cfg(test)]

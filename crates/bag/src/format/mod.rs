@@ -7,6 +7,7 @@
 //! 5. `layout`: which files a bag has, where bags are.
 
 pub(crate) mod channel;
+pub mod custom_data;
 pub(crate) mod layout;
 pub(crate) mod metadata;
 pub(crate) mod parse;

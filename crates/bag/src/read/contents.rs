@@ -70,11 +70,17 @@ pub(super) struct Contents {
     pub(super) channels: Vec<BTreeMap<u16, FileChannel>>,
     /// Each channel once, in the order of the files and of the channel ids.
     pub(super) distinct: Vec<Arc<Channel>>,
+    /// `custom_data` of `metadata.yaml`.
+    pub(super) custom_data: BTreeMap<String, String>,
 }
 
 impl Contents {
     /// The files, in this order, as the bag `path`.
-    pub(super) fn new(path: &Path, files: Vec<FileIndex>) -> Self {
+    pub(super) fn new(
+        path: &Path,
+        files: Vec<FileIndex>,
+        custom_data: BTreeMap<String, String>,
+    ) -> Self {
         let topics = topics(&files);
         let (mut known, mut distinct) = (HashSet::new(), Vec::new());
         let channels = files
@@ -100,7 +106,7 @@ impl Contents {
                 type_name: topic.type_name.as_str().into(),
             })
             .collect();
-        Self { path: path.into(), files, topics, names, channels, distinct }
+        Self { path: path.into(), files, topics, names, channels, distinct, custom_data }
     }
 
     /// The first damage found when the bag was opened.

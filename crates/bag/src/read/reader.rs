@@ -44,12 +44,17 @@ impl BagReader {
     fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
         let files = files.iter().enumerate();
         let files = files.map(|(number, file)| FileIndex::open(file, number));
-        Ok(Self::from_files(path, files.collect::<Result<_, _>>()?))
+        let custom_data = metadata::custom_data(path)?;
+        Ok(Self::from_files(path, files.collect::<Result<_, _>>()?, custom_data))
     }
 
-    /// Indexed files, in this order, as the bag `path`.
-    pub(crate) fn from_files(path: &Path, files: Vec<FileIndex>) -> Self {
-        Self { contents: Arc::new(Contents::new(path, files)) }
+    /// Indexed files, in this order, as the bag `path` with these entries of `custom_data`.
+    pub(crate) fn from_files(
+        path: &Path,
+        files: Vec<FileIndex>,
+        custom_data: BTreeMap<String, String>,
+    ) -> Self {
+        Self { contents: Arc::new(Contents::new(path, files, custom_data)) }
     }
 
     /// The path it was opened with.
@@ -62,9 +67,9 @@ impl BagReader {
         self.contents.files.iter().map(|file| file.path.as_path())
     }
 
-    /// `custom_data` in its `metadata.yaml`; empty without one.
-    pub fn custom_data(&self) -> BTreeMap<String, String> {
-        metadata::custom_data(self.path())
+    /// `custom_data` in its `metadata.yaml`; empty without one, as for a file of a bag.
+    pub fn custom_data(&self) -> &BTreeMap<String, String> {
+        &self.contents.custom_data
     }
 
     /// Total size of the MCAP files (bytes).

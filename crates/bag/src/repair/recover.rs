@@ -6,7 +6,7 @@ use std::{
 };
 
 use crate::{
-    edit::copy::{CopyOptions, copy},
+    edit::copy::{CopyOptions, Recording, copy},
     error::BagError,
     format::{layout, metadata, summary::BagSummary},
     read::{error_log::ErrorLog, index::FileIndex, reader::BagReader},
@@ -48,9 +48,10 @@ impl Recovery {
         }
         let by_files =
             files.iter().map(|file| file.declared_messages.unwrap_or(0).max(file.messages())).sum();
-        // An unreadable metadata.yaml declares nothing.
+        // An unreadable metadata.yaml declares nothing, and has no custom data.
         let by_metadata = metadata::message_count(path).ok().flatten().unwrap_or(0);
-        let bag = BagReader::from_files(path, files);
+        let custom_data = metadata::custom_data(path).unwrap_or_default();
+        let bag = BagReader::from_files(path, files, custom_data);
         Ok(Self { bag, losses, declared: by_metadata.max(by_files) })
     }
 
@@ -87,8 +88,8 @@ impl Recovery {
         let losses = RefCell::new(losses);
         let auxiliary = bag.auxiliary().filter_map(|record| skip_damage(record, &losses));
         let messages = bag.messages().filter_map(|message| skip_damage(message, &losses));
-        let saved =
-            copy(output, bag.channels(), (bag.custom_data(), auxiliary), messages, options)?;
+        let recording = Recording { custom_data: bag.custom_data().clone(), auxiliary };
+        let saved = copy(output, bag.channels(), recording, messages, options)?;
         let mut losses = losses.into_inner();
         let mut losses: Vec<String> =
             std::iter::from_fn(|| losses.pop(bag.path())).map(|error| error.to_string()).collect();

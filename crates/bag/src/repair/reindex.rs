@@ -134,7 +134,9 @@ fn describe(path: &Path, indexes: &[FileIndex]) -> BagSummary {
             size: index.size,
         })
         .collect();
-    BagSummary::new(path.into(), files, topics(indexes), metadata::custom_data(path))
+    // An unreadable metadata.yaml is replaced.
+    let custom_data = metadata::custom_data(path).unwrap_or_default();
+    BagSummary::new(path.into(), files, topics(indexes), custom_data)
 }
 
 fn topics(indexes: &[FileIndex]) -> Vec<WrittenTopic> {

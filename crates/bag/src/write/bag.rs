@@ -17,6 +17,7 @@ use crate::{
     error::BagError,
     format::{
         channel::Channel,
+        custom_data::MESSAGES_NOT_RECORDED,
         layout, metadata,
         summary::{BagSummary, WrittenFile, WrittenTopic},
     },
@@ -24,9 +25,6 @@ use crate::{
 };
 use eddy_frames::Stamp;
 use eddy_messages::{QosProfile, TypeSupport, type_support};
-
-/// Key in `custom_data` of `metadata.yaml`: number of received messages that are not in the bag.
-const NOT_RECORDED: &str = "eddy_messages_not_recorded";
 
 /// A topic of one [`BagWriter`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -319,7 +317,7 @@ impl BagWriter {
             }
         });
         if self.dropped + lost > 0 {
-            custom_data.insert(NOT_RECORDED.to_owned(), (self.dropped + lost).to_string());
+            custom_data.insert(MESSAGES_NOT_RECORDED.to_owned(), (self.dropped + lost).to_string());
         }
         let summary = BagSummary { lost, ..BagSummary::new(directory, files, topics, custom_data) };
         metadata::write(&summary)?;

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use eddy_bag::{
-    BagReader, BagWriter, Compression, Selection, Split, WriterOptions, extract, merge,
+    BagReader, BagWriter, Compression, CopyOptions, Selection, Split, WriterOptions, extract, merge,
 };
 use eddy_frames::Stamp;
 use eddy_messages::{Message, RosString};
 use proptest::prelude::*;
 
 use crate::support::{
-    Folder, copying, findings, messages, recover, word, write_foreign, write_split,
+    Folder, copying, findings, messages, recover, reindex, word, write_foreign, write_split,
 };
 
 proptest! {
@@ -108,7 +108,7 @@ fn a_bag_is_split_by_size_and_by_time_and_read_as_one() {
 }
 
 #[test]
-fn copies_keep_the_custom_data_that_all_bags_have() {
+fn copies_keep_the_custom_data_that_all_bags_have_but_not_what_was_lost() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     for (name, run) in [("one", "7"), ("two", "8")] {
@@ -117,13 +117,16 @@ fn copies_keep_the_custom_data_that_all_bags_have() {
         bag.write(topic, Stamp(1), Stamp(1), &word("once")).unwrap();
         bag.set_custom_data("run", run.into());
         bag.set_custom_data("robot", "arm 3: left".into());
+        bag.count_dropped(7);
         bag.finish().unwrap();
     }
     let open = |name: &str| BagReader::open(&at(name)).unwrap();
     let custom_data = |name: &str| {
-        let entries = open(name).custom_data().into_iter();
+        let bag = open(name);
+        let entries = bag.custom_data().iter();
         entries.map(|(key, value)| format!("{key}={value}")).collect::<Vec<_>>()
     };
+    assert!(custom_data("one").contains(&"eddy_messages_not_recorded=7".to_owned()));
     let all = Selection::default();
     extract(&open("one"), &all, &at("part"), copying(&mut || true)).unwrap();
     assert_eq!(custom_data("part"), ["robot=arm 3: left", "run=7"]);
@@ -131,6 +134,14 @@ fn copies_keep_the_custom_data_that_all_bags_have() {
     assert_eq!(custom_data("recovered"), ["robot=arm 3: left", "run=7"]);
     merge(&[open("one"), open("two")], &at("both"), copying(&mut || true)).unwrap();
     assert_eq!(custom_data("both"), ["robot=arm 3: left"]);
+    let given = [("run", "both"), ("place", "hall")];
+    let given = given.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
+    let mut all_of_them = || true;
+    let options = CopyOptions { custom_data: given, ..copying(&mut all_of_them) };
+    merge(&[open("one"), open("two")], &at("given"), options).unwrap();
+    assert_eq!(custom_data("given"), ["place=hall", "robot=arm 3: left", "run=both"]);
+    reindex(&at("given")).unwrap();
+    assert_eq!(custom_data("given"), ["place=hall", "robot=arm 3: left", "run=both"]);
     let file = open("one").files().next().unwrap().to_owned();
     assert!(BagReader::open(&file).unwrap().custom_data().is_empty(), "a file of a bag");
 }

@@ -42,7 +42,8 @@ pub fn messages(path: &Path) -> Vec<Whole> {
 }
 
 pub fn copying(on_message: &mut dyn FnMut() -> bool) -> CopyOptions<'_> {
-    CopyOptions { writer: WriterOptions::default(), on_message }
+    let custom_data = BTreeMap::new();
+    CopyOptions { writer: WriterOptions::default(), custom_data, on_message }
 }
 
 pub fn recover(path: &Path, output: &Path) -> Result<Recovered, BagError> {

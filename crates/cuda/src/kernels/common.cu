@@ -106,7 +106,7 @@ __device__ __forceinline__ float activation_slope(float y) {
 #endif
 }
 
-// Sum over a block of so many threads, a power of two, in a fixed order; every thread has it.
+// Sum over a block of THREADS threads (a power of two), in a fixed order; every thread has it.
 template <u32 THREADS = 256> __device__ __forceinline__ float block_sum(float v) {
   __shared__ float sums[THREADS];
   sums[threadIdx.x] = v;

@@ -17,7 +17,7 @@ use super::{
     DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
     frame_store::{self, BLOCK, Block, StreamLocation},
     statistics::Bounds,
-    stiffness::{self, Stiffnesses},
+    stiffness::Stiffnesses,
 };
 use eddy_bag::{BagReader, find_bags};
 use eddy_frames::{Frame, Stamp};
@@ -92,6 +92,7 @@ pub(super) fn load(
 ) -> Result<Vec<Trajectory>, DatasetError> {
     let bags = find_bags(paths)?;
     let bags = bags.iter().map(|path| BagReader::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let mut stiffnesses = Stiffnesses::of_bags(&bags)?;
     let topics = bags.iter().flat_map(BagReader::topics).filter(|topic| topic.name == TRUTH_TOPIC);
     let all = topics.map(|topic| topic.message_count).sum();
     let progress = Mutex::new((0, progress));
@@ -111,10 +112,8 @@ pub(super) fn load(
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
-    let stated = bags.iter().map(stiffness::stated).collect::<Result<Vec<_>, _>>()?;
-    let mut stiffnesses = Stiffnesses::default();
     for PartialStream { stream, location, .. } in &mut partials {
-        stream.stiffness = stiffnesses.of(stated[location.bag], &stream.source, stream.id);
+        stream.stiffness = stiffnesses.of(location.bag, &stream.source, stream.id);
     }
     if let Some(first) = partials.first() {
         for partial in &partials {

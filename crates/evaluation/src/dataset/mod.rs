@@ -6,7 +6,7 @@
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two parts.
 //! 5. [`statistics`]: range, mean and standard deviation of each feature over the training part.
 //! 6. [`simulate`]: simulated scenes as a data set: one bag each, in a folder that can be resumed.
-//! 7. [`stiffness`]: where the stiffness of a stream is known from.
+//! 7. [`stiffness`]: the sources of a stream's stiffness.
 //! 8. [`memory`]: available memory.
 //!
 //! Results computed from a data set are bit-identical whether its frames are in memory or on disk.
@@ -35,11 +35,11 @@ pub use frame_store::{CacheUsage, FrameStore};
 pub use memory::available_memory;
 pub use split::Part;
 pub use statistics::Bounds;
-pub use stiffness::{STIFFNESS, stiffness_of};
+pub use stiffness::{parse_stiffness, stiffness_of};
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use eddy_bag::BagError;
+use eddy_bag::{BagError, custom_data::STIFFNESS};
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::Normalization,
@@ -112,7 +112,7 @@ pub enum DatasetError {
         /// The stream.
         stream: u64,
     },
-    /// The stiffness in the metadata of a bag is none.
+    /// The stiffness in the metadata of a bag is not a positive number.
     #[error("{}/metadata.yaml: custom_data.{STIFFNESS}: found {found:?}, expected a positive number", path.display())]
     StatedStiffness {
         /// The bag.

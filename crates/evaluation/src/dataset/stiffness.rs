@@ -1,44 +1,60 @@
-//! Where the stiffness of a stream is known from.
+//! Sources of a stream's stiffness: the metadata of its bag, otherwise the manifest of `eddy simulate` beside the bag.
 
 use std::path::Path;
 
 use super::{DatasetError, simulate::ScenesBeside};
-use eddy_bag::BagReader;
+use eddy_bag::{BagReader, custom_data::STIFFNESS};
 
-/// Key in `custom_data` of a bag's `metadata.yaml`: Young's modulus of all matter in the bag (density x velocity^2).
-pub const STIFFNESS: &str = "eddy_stiffness";
-
-/// The stiffness of the streams of bags: what `metadata.yaml` says, otherwise the manifest of `eddy simulate` beside the bag.
-#[derive(Debug, Default)]
-pub(super) struct Stiffnesses(ScenesBeside);
+/// The stiffness of the streams of bags.
+pub(super) struct Stiffnesses {
+    /// What the metadata of each bag says.
+    stated: Vec<Option<f32>>,
+    beside: ScenesBeside,
+}
 
 impl Stiffnesses {
-    /// Of a stream of a bag (density x velocity^2) for which `metadata.yaml` says `stated`; `None` if nothing says it.
-    pub(super) fn of(&mut self, stated: Option<f32>, bag: &Path, stream: u64) -> Option<f32> {
-        stated.or_else(|| self.0.stiffness(bag, stream))
+    /// Of these bags.
+    ///
+    /// # Errors
+    /// [`DatasetError::StatedStiffness`].
+    pub(super) fn of_bags(bags: &[BagReader]) -> Result<Self, DatasetError> {
+        let stated = bags.iter().map(stated).collect::<Result<_, _>>()?;
+        Ok(Self { stated, beside: ScenesBeside::default() })
+    }
+
+    /// That of a stream of the bag of this number and path (density x velocity^2); `None` if unknown.
+    pub(super) fn of(&mut self, bag: usize, path: &Path, stream: u64) -> Option<f32> {
+        self.stated[bag].or_else(|| self.beside.stiffness(path, stream))
     }
 }
 
-/// What `metadata.yaml` of a bag says (density x velocity^2); `None` if it says nothing.
+/// What the metadata of a bag says (density x velocity^2); `None` if it says nothing.
 ///
 /// # Errors
 /// [`DatasetError::StatedStiffness`] unless it is a positive number.
-pub(super) fn stated(bag: &BagReader) -> Result<Option<f32>, DatasetError> {
-    let Some(found) = bag.custom_data().remove(STIFFNESS) else { return Ok(None) };
-    match found.parse::<f32>() {
-        Ok(stiffness) if stiffness.is_finite() && stiffness > 0.0 => Ok(Some(stiffness)),
-        _ => Err(DatasetError::StatedStiffness { path: bag.path().to_owned(), found }),
-    }
+fn stated(bag: &BagReader) -> Result<Option<f32>, DatasetError> {
+    let Some(found) = bag.custom_data().get(STIFFNESS) else { return Ok(None) };
+    let invalid =
+        || DatasetError::StatedStiffness { path: bag.path().to_owned(), found: found.clone() };
+    parse_stiffness(found).map(Some).ok_or_else(invalid)
 }
 
-/// The stiffness of the first stream of a topic of a bag (density x velocity^2): the bag of a scene has one.
+/// A stiffness (density x velocity^2); `None` unless it is a positive number.
+pub fn parse_stiffness(text: &str) -> Option<f32> {
+    text.parse().ok().filter(|stiffness: &f32| stiffness.is_finite() && *stiffness > 0.0)
+}
+
+/// The stiffness of the streams of a bag (density x velocity^2), if its metadata says it, otherwise of the first stream of a topic.
 ///
 /// # Errors
-/// [`DatasetError::Stiffness`] if it is not known, [`DatasetError::StatedStiffness`] if what `metadata.yaml` says is no stiffness,
+/// [`DatasetError::Stiffness`] if it is not known, [`DatasetError::StatedStiffness`] if the metadata says no positive number,
 /// [`DatasetError::Bag`] if the bag cannot be read.
 pub fn stiffness_of(bag: &BagReader, topic: &str) -> Result<f32, DatasetError> {
+    if let Some(stated) = stated(bag)? {
+        return Ok(stated);
+    }
     let first = bag.frames(topic)?.next().transpose()?;
     let stream = first.map_or(0, |frame| frame.stream);
-    let found = Stiffnesses::default().of(stated(bag)?, bag.path(), stream);
-    found.ok_or_else(|| DatasetError::Stiffness { path: bag.path().to_owned(), stream })
+    let unknown = || DatasetError::Stiffness { path: bag.path().to_owned(), stream };
+    ScenesBeside::default().stiffness(bag.path(), stream).ok_or_else(unknown)
 }

@@ -53,15 +53,16 @@ fn a_stream_has_the_stiffness_that_the_metadata_of_its_bag_says() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
     let (folder, streams) = simulated(extent, 2);
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
-    fs::remove_file(folder.path().join("manifest.json")).unwrap();
     let load = || load_trajectories(&[folder.path().into()], u64::MAX, &mut |_, _| ());
-    for (stream, loaded) in streams.iter().zip(load().unwrap()) {
-        assert_eq!(loaded.stiffness, Some(scenes[&stream.id].materials.stiffness));
-    }
-    // As yaml-cpp writes the value in rosbag2: without quotation marks.
+    // Rather than the manifest. As yaml-cpp writes the value in rosbag2: without quotation marks.
     let bag = streams[1].source.clone();
     restate_stiffness(&bag, "eddy_stiffness: 2.5e4");
     assert_eq!(load().unwrap()[1].stiffness, Some(2.5e4));
+    let stated = stiffness_of(&BagReader::open(&bag).unwrap(), TRUTH_TOPIC);
+    assert_eq!(stated.unwrap(), 2.5e4);
+
+    fs::remove_file(folder.path().join("manifest.json")).unwrap();
+    assert_eq!(load().unwrap()[0].stiffness, Some(scenes[&0].materials.stiffness));
     for wrong in ["stiff", "-3", "inf", ""] {
         restate_stiffness(&bag, &format!("eddy_stiffness: '{wrong}'"));
         let error = load().unwrap_err().to_string();
@@ -78,13 +79,14 @@ fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
     // As an older version has left them.
     streams.iter().for_each(|stream| restate_stiffness(&stream.source, "run: seven"));
+    let load = |memory| load_trajectories(&[folder.path().into()], memory, &mut |_, _| ()).unwrap();
+    let streams = load(u64::MAX);
     for stream in &streams {
         assert_eq!(stream.stiffness, Some(scenes[&stream.id].materials.stiffness));
         assert_eq!(stream.cut(1..3).unwrap().stiffness, stream.stiffness);
         let bag = BagReader::open(&stream.source).unwrap();
         assert_eq!(stiffness_of(&bag, TRUTH_TOPIC).ok(), stream.stiffness);
     }
-    let load = |memory| load_trajectories(&[folder.path().into()], memory, &mut |_, _| ()).unwrap();
     assert_eq!(load(0)[1].stiffness, streams[1].stiffness, "on disk");
 
     // Another bag with a stream of this id is not of this scene.

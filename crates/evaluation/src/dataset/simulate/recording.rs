@@ -12,8 +12,8 @@ use super::{
     manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start},
     staging::Staging,
 };
-use crate::dataset::{FIELDS_TOPIC, STIFFNESS, TRUTH_TOPIC};
-use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions};
+use crate::dataset::{FIELDS_TOPIC, TRUTH_TOPIC};
+use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions, custom_data::STIFFNESS};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
 use eddy_mpm::{ParticleState, Simulation};

@@ -24,7 +24,10 @@ impl Clone for Expected {
 impl Expected {
     /// Of a number of nodes and of bodies: nothing.
     pub(super) fn nothing(nodes: usize, bodies: usize) -> Self {
-        Self { positions: vec![[0.0; 2]; nodes], most_errors: vec![f32::INFINITY; bodies] }
+        let mut expected =
+            Self { positions: vec![[0.0; 2]; nodes], most_errors: vec![0.0; bodies] };
+        expected.forget();
+        expected
     }
 
     /// Nothing is expected.

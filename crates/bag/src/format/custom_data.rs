@@ -1,0 +1,12 @@
+//! Keys of `custom_data` in `metadata.yaml`.
+
+/// Young's modulus of all matter in the bag (density x velocity^2).
+pub const STIFFNESS: &str = "eddy_stiffness";
+/// Number of received messages that are not in the bag.
+pub const MESSAGES_NOT_RECORDED: &str = "eddy_messages_not_recorded";
+/// Links that could not be recorded.
+pub const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
+/// Links that failed while they were recorded.
+pub const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
+/// What a recording has lost. Copies do not keep it: it need not be true of a part of a bag, or of several bags together.
+pub const LOSSES: [&str; 3] = [MESSAGES_NOT_RECORDED, TOPICS_NOT_RECORDED, TOPICS_RECORDED_IN_PART];
