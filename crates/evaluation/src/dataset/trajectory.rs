@@ -26,8 +26,8 @@ pub struct Trajectory {
     pub first_sequence: u64,
     /// Stamp of the first frame.
     pub first_stamp: Stamp,
-    /// Young's modulus of its materials, if it is known (density x velocity^2): that of its scene in the manifest beside a bag of
-    /// `eddy simulate`.
+    /// Young's modulus of its materials, if it is known (density x velocity^2): from the metadata of its bag, or from the manifest of
+    /// `eddy simulate` beside the bag.
     pub stiffness: Option<f32>,
     /// Number of frames.
     pub frames: usize,
