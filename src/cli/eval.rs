@@ -50,8 +50,8 @@ pub struct EvalArgs {
     /// Start frames per stream, evenly spaced over its first 80 %.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
-    /// Young's modulus of all streams (density x velocity^2), for checkpoints that are conditioned on the stiffness [default: that in
-    /// metadata.yaml of each bag, or of its scene in the manifest.json of eddy simulate beside it].
+    /// Young's modulus of all streams (density x velocity^2), for checkpoints that are conditioned on the stiffness [default: what
+    /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it].
     #[arg(long, value_name = "E")]
     pub stiffness: Option<f32>,
     /// Reference predictors, started from the same frames; requires manifest.json beside the bags.

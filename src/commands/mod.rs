@@ -31,17 +31,12 @@ pub(crate) use eddy_frames::counted;
 pub use interrupt::Interrupt;
 pub(crate) use progress::TerminalProgress;
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    path::Path,
-    thread,
-    time::Duration,
-};
+use std::{collections::BTreeSet, path::Path, thread, time::Duration};
 
 use anyhow::{Context as _, bail};
 use eddy_bag::{
     QosOverrides,
-    custom_data::{LOSSES, STIFFNESS},
+    custom_data::{CustomData, LOSSES, STIFFNESS},
     read_qos_overrides,
 };
 use eddy_evaluation::dataset::parse_stiffness;
@@ -81,16 +76,14 @@ pub(crate) fn qos_overrides(file: Option<&Path>) -> anyhow::Result<QosOverrides>
 }
 
 /// The entries for `custom_data` in `metadata.yaml` that a command was given.
-pub(crate) fn checked_custom_data(
-    given: Vec<(String, String)>,
-) -> anyhow::Result<BTreeMap<String, String>> {
-    let mut entries = BTreeMap::new();
+pub(crate) fn checked_custom_data(given: &[(String, String)]) -> anyhow::Result<CustomData> {
+    let mut entries = CustomData::new();
     for (key, value) in given {
         let expected = if LOSSES.contains(&key.as_str()) {
             Some("another key: eddy writes this one")
-        } else if key == STIFFNESS && parse_stiffness(&value).is_none() {
+        } else if key == STIFFNESS && parse_stiffness(value).is_none() {
             Some("a positive number")
-        } else if entries.contains_key(&key) {
+        } else if entries.contains_key(key) {
             Some("each key once")
         } else {
             None
@@ -99,7 +92,7 @@ pub(crate) fn checked_custom_data(
             let message = format!("--custom-data: found {key}={value}, expected {expected}");
             return Err(Usage::new(message).into());
         }
-        entries.insert(key, value);
+        entries.insert(key.clone(), value.clone());
     }
     Ok(entries)
 }

@@ -49,7 +49,7 @@ pub fn run(
     let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
-    let custom_data = checked_custom_data(mem::take(&mut args.custom_data))?;
+    let custom_data = checked_custom_data(&args.custom_data)?;
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
     let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
     let opener =

@@ -115,6 +115,8 @@ fn given_custom_data_is_in_the_bag_and_in_copies_and_shown() {
     let stated = ["--custom-data", "eddy_stiffness=1e3"];
     succeed([&["bag", "cut", from, "--output", to], &stated[..]].concat());
     assert_eq!(shown(&softer).1, r#"{"eddy_stiffness":"1e3","robot":"arm=3"}"#);
+    let soft = ["bag", "recover", from, "--output", "no", "--custom-data", "eddy_stiffness=soft"];
+    assert!(fail(2, soft).contains("found eddy_stiffness=soft, expected a positive number"));
     let both = world.bag().with_extension("both");
     let said = succeed(["bag", "merge", from, to, "--output", both.to_str().unwrap()]);
     let expected = "not kept, since not all bags have the same: custom data eddy_stiffness\n";

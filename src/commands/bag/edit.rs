@@ -115,7 +115,7 @@ fn copy(
     work: impl FnOnce(&Path, CopyOptions<'_>) -> Result<BagSummary, BagError>,
 ) -> anyhow::Result<()> {
     let inputs: Vec<PathBuf> = bags.iter().map(|bag| bag.path().to_owned()).collect();
-    let custom_data = checked_custom_data(new.custom_data.clone())?;
+    let custom_data = checked_custom_data(&new.custom_data)?;
     let room = Output::at(&new.output, OutputKind::Bag, new.force, &inputs)?;
     let messages = bags.iter().map(BagReader::message_count).sum();
     let bar = progress_bar(messages, "messages", quiet);
@@ -128,7 +128,7 @@ fn copy(
     let found: BTreeSet<_> = bags.iter().flat_map(|bag| bag.custom_data().keys()).collect();
     let is_kept = |key: &str| LOSSES.contains(&key) || summary.custom_data.contains_key(key);
     for key in found.into_iter().filter(|key| !is_kept(key)) {
-        println!("not kept, since not all bags have the same: custom data {key}");
+        println!("not kept, since not all bags have the same: custom data {}", key.escape_debug());
     }
     room.replaced();
     Ok(())

@@ -18,11 +18,11 @@ const LOSSY: u8 = 3;
 
 /// Copies what can be read of a bag.
 pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {
+    let custom_data = checked_custom_data(&args.new.custom_data)?;
     let bar = progress_bar(Recovery::size(&args.bag)?, "bytes", quiet);
     let found = Recovery::open(&args.bag, &mut watch_bytes(&bar, interrupt));
     bar.finish_and_clear();
     let found = found?;
-    let custom_data = checked_custom_data(args.new.custom_data.clone())?;
     let room = Output::at(
         &args.new.output,
         OutputKind::Bag,

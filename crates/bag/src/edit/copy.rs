@@ -1,11 +1,15 @@
 //! Copies channels, messages, attachments and metadata records into a new bag.
 
-use std::{collections::BTreeMap, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use super::staged::StagedBag;
 use crate::{
     error::BagError,
-    format::{channel::Channel, custom_data::LOSSES, summary::BagSummary},
+    format::{
+        channel::Channel,
+        custom_data::{CustomData, LOSSES},
+        summary::BagSummary,
+    },
     read::{
         auxiliary::{AuxiliaryRecord, Written},
         messages::BagMessage,
@@ -18,7 +22,7 @@ pub struct CopyOptions<'a> {
     /// Options of the new bag.
     pub writer: WriterOptions,
     /// Entries to set in its `custom_data`, beside those of the old bags.
-    pub custom_data: BTreeMap<String, String>,
+    pub custom_data: CustomData,
     /// Called after each message; `false` stops the copy with [`BagError::Interrupted`].
     pub on_message: &'a mut dyn FnMut() -> bool,
 }
@@ -26,7 +30,7 @@ pub struct CopyOptions<'a> {
 /// What describes a recording, beside its messages.
 pub(crate) struct Recording<A> {
     /// Entries of `custom_data` in `metadata.yaml`; [`LOSSES`] are left out of copies.
-    pub(crate) custom_data: BTreeMap<String, String>,
+    pub(crate) custom_data: CustomData,
     /// Attachments and metadata records.
     pub(crate) auxiliary: A,
 }
@@ -45,7 +49,7 @@ pub(crate) fn copy<'c>(
     for channel in channels {
         bag.writer.channel(channel)?;
     }
-    LOSSES.iter().for_each(|key| drop(custom_data.remove(*key)));
+    custom_data.retain(|key, _| !LOSSES.contains(&key.as_str()));
     custom_data.extend(options.custom_data);
     for (key, value) in custom_data {
         bag.writer.set_custom_data(&key, value);

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, iter::Peekable, path::Path};
 use super::copy::{CopyOptions, Recording, copy};
 use crate::{
     error::BagError,
-    format::{channel::Channel, summary::BagSummary},
+    format::{channel::Channel, custom_data::CustomData, summary::BagSummary},
     read::{
         messages::{BagMessage, Messages},
         reader::BagReader,
@@ -32,7 +32,7 @@ pub fn merge(
 }
 
 /// The entries that all bags have.
-fn common_custom_data(bags: &[BagReader]) -> BTreeMap<String, String> {
+fn common_custom_data(bags: &[BagReader]) -> CustomData {
     let common = bags.iter().map(|bag| bag.custom_data().clone()).reduce(|mut common, other| {
         common.retain(|key, value| other.get(key) == Some(value));
         common

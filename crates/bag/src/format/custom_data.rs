@@ -1,4 +1,9 @@
-//! Keys of `custom_data` in `metadata.yaml`.
+//! `custom_data` in `metadata.yaml`, and its keys.
+
+use std::collections::BTreeMap;
+
+/// The entries.
+pub type CustomData = BTreeMap<String, String>;
 
 /// Young's modulus of all matter in the bag (density x velocity^2).
 pub const STIFFNESS: &str = "eddy_stiffness";

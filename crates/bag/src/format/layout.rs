@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use eddy_storage::{Entry, Kind};
 
-use super::metadata::{self, exists};
+use super::{
+    custom_data::CustomData,
+    metadata::{self, exists},
+};
 use crate::error::BagError;
 
 /// Suffix of a file that is being written.
@@ -38,13 +41,13 @@ pub(crate) fn is_active(path: &Path) -> bool {
     path.to_string_lossy().ends_with(ACTIVE)
 }
 
-/// The MCAP files of the bag at `path`: those listed in `metadata.yaml`, or all files in the directory of
-/// an unfinished bag, or the file itself.
-pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The MCAP files of the bag at `path`, and its `custom_data`: those of `metadata.yaml`, or all files in the directory of
+/// an unfinished bag, or the file itself, and no `custom_data`.
+pub(crate) fn files_of(path: &Path) -> Result<(Vec<PathBuf>, CustomData), BagError> {
     let not_a_bag = |found: &str| BagError::NotABag { path: path.into(), found: found.into() };
     if kind(path, "opening the bag")? == Kind::File {
         return if is_mcap(path) {
-            Ok(vec![path.into()])
+            Ok((vec![path.into()], CustomData::new()))
         } else {
             Err(not_a_bag("a file of another kind"))
         };
@@ -64,7 +67,7 @@ pub(crate) fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         }
         return Err(not_a_bag(found));
     }
-    Ok(files)
+    Ok((files, CustomData::new()))
 }
 
 /// The MCAP files at `path` regardless of `metadata.yaml`: all in a directory, or the file itself.
@@ -94,7 +97,7 @@ pub fn find_bags(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
     for path in paths {
         match kind(path, "looking for bags")? {
             Kind::Directory => collect(path, &mut bags)?,
-            Kind::File => bags.extend(files_of(path)?),
+            Kind::File => bags.extend(files_of(path)?.0),
         }
     }
     let mut seen = std::collections::HashSet::new();

@@ -8,6 +8,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
+    custom_data::CustomData,
     qos::{self, YamlProfile},
     summary::BagSummary,
 };
@@ -166,7 +167,7 @@ struct ReadInformation {
     #[serde(default)]
     compression_mode: String,
     #[serde(default)]
-    custom_data: Option<BTreeMap<String, String>>,
+    custom_data: Option<CustomData>,
 }
 
 fn read(path: &Path) -> Result<ReadInformation, BagError> {
@@ -187,8 +188,8 @@ fn wrong(path: &Path, field: &'static str, found: String, expected: &'static str
     BagError::Metadata { path: path.into(), field, found, expected }
 }
 
-/// The MCAP files in `directory` that `metadata.yaml` at `path` lists.
-pub(crate) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagError> {
+/// The MCAP files in `directory` that `metadata.yaml` at `path` lists, and its `custom_data`.
+pub(crate) fn files(path: &Path, directory: &Path) -> Result<(Vec<PathBuf>, CustomData), BagError> {
     let information = read(path)?;
     if information.version > VERSION {
         return Err(wrong(path, "version", information.version.to_string(), "at most 9"));
@@ -213,7 +214,7 @@ pub(crate) fn files(path: &Path, directory: &Path) -> Result<Vec<PathBuf>, BagEr
     if files.is_empty() {
         return Err(wrong(path, "relative_file_paths", "no file".into(), expected));
     }
-    Ok(files)
+    Ok((files, information.custom_data.unwrap_or_default()))
 }
 
 /// Whether there is something at a path.
@@ -230,13 +231,10 @@ pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
     Ok(Some(read(&path)?.message_count))
 }
 
-/// `custom_data` in the metadata of the bag at `bag`; empty without `metadata.yaml`.
-pub(crate) fn custom_data(bag: &Path) -> Result<BTreeMap<String, String>, BagError> {
-    let path = bag.join(FILE_NAME);
-    if !exists(&path)? {
-        return Ok(BTreeMap::new());
-    }
-    Ok(read(&path)?.custom_data.unwrap_or_default())
+/// `custom_data` in the metadata of the bag at `bag`, as far as it can be read.
+pub(crate) fn readable_custom_data(bag: &Path) -> CustomData {
+    let information = read(&bag.join(FILE_NAME)).ok();
+    information.and_then(|information| information.custom_data).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -375,7 +373,10 @@ mod tests {
         let path = directory.path().join(FILE_NAME);
         fs::write(directory.path().join("run_0.mcap"), "").unwrap();
         fs::write(&path, &good).unwrap();
-        assert_eq!(files(&path, directory.path()).unwrap(), [directory.path().join("run_0.mcap")]);
+        assert_eq!(
+            files(&path, directory.path()).unwrap().0,
+            [directory.path().join("run_0.mcap")]
+        );
         for (from, to, expected) in cases {
             assert!(good.contains(from), "{from} in {good}");
             fs::write(&path, good.replacen(from, to, 1)).unwrap();

@@ -9,7 +9,10 @@ use std::{
 use super::index::FileIndex;
 use crate::{
     error::BagError,
-    format::channel::{Channel, ROS2MSG},
+    format::{
+        channel::{Channel, ROS2MSG},
+        custom_data::CustomData,
+    },
 };
 use eddy_messages::{InvalidDefinition, QosProfile, TypeSupport};
 
@@ -71,16 +74,12 @@ pub(super) struct Contents {
     /// Each channel once, in the order of the files and of the channel ids.
     pub(super) distinct: Vec<Arc<Channel>>,
     /// `custom_data` of `metadata.yaml`.
-    pub(super) custom_data: BTreeMap<String, String>,
+    pub(super) custom_data: CustomData,
 }
 
 impl Contents {
     /// The files, in this order, as the bag `path`.
-    pub(super) fn new(
-        path: &Path,
-        files: Vec<FileIndex>,
-        custom_data: BTreeMap<String, String>,
-    ) -> Self {
+    pub(super) fn new(path: &Path, files: Vec<FileIndex>, custom_data: CustomData) -> Self {
         let topics = topics(&files);
         let (mut known, mut distinct) = (HashSet::new(), Vec::new());
         let channels = files

@@ -1,7 +1,7 @@
 //! Topics, messages and frames of a bag.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeSet,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     error::BagError,
-    format::{channel::Channel, layout, metadata},
+    format::{channel::Channel, custom_data::CustomData, layout},
 };
 use eddy_frames::{Frame, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
@@ -38,22 +38,22 @@ impl BagReader {
     /// with damage after its first bytes can be opened: [`BagReader::damage`] returns the damage, and its
     /// messages end with the error.
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        Self::open_files(path, &layout::files_of(path)?)
+        let (files, custom_data) = layout::files_of(path)?;
+        Self::open_files(path, &files, custom_data)
     }
 
-    fn open_files(path: &Path, files: &[PathBuf]) -> Result<Self, BagError> {
+    fn open_files(
+        path: &Path,
+        files: &[PathBuf],
+        custom_data: CustomData,
+    ) -> Result<Self, BagError> {
         let files = files.iter().enumerate();
         let files = files.map(|(number, file)| FileIndex::open(file, number));
-        let custom_data = metadata::custom_data(path)?;
         Ok(Self::from_files(path, files.collect::<Result<_, _>>()?, custom_data))
     }
 
     /// Indexed files, in this order, as the bag `path` with these entries of `custom_data`.
-    pub(crate) fn from_files(
-        path: &Path,
-        files: Vec<FileIndex>,
-        custom_data: BTreeMap<String, String>,
-    ) -> Self {
+    pub(crate) fn from_files(path: &Path, files: Vec<FileIndex>, custom_data: CustomData) -> Self {
         Self { contents: Arc::new(Contents::new(path, files, custom_data)) }
     }
 
@@ -68,7 +68,7 @@ impl BagReader {
     }
 
     /// `custom_data` in its `metadata.yaml`; empty without one, as for a file of a bag.
-    pub fn custom_data(&self) -> &BTreeMap<String, String> {
+    pub fn custom_data(&self) -> &CustomData {
         &self.contents.custom_data
     }
 

@@ -48,10 +48,9 @@ impl Recovery {
         }
         let by_files =
             files.iter().map(|file| file.declared_messages.unwrap_or(0).max(file.messages())).sum();
-        // An unreadable metadata.yaml declares nothing, and has no custom data.
+        // An unreadable metadata.yaml declares nothing.
         let by_metadata = metadata::message_count(path).ok().flatten().unwrap_or(0);
-        let custom_data = metadata::custom_data(path).unwrap_or_default();
-        let bag = BagReader::from_files(path, files, custom_data);
+        let bag = BagReader::from_files(path, files, metadata::readable_custom_data(path));
         Ok(Self { bag, losses, declared: by_metadata.max(by_files) })
     }
 

@@ -134,9 +134,7 @@ fn describe(path: &Path, indexes: &[FileIndex]) -> BagSummary {
             size: index.size,
         })
         .collect();
-    // An unreadable metadata.yaml is replaced.
-    let custom_data = metadata::custom_data(path).unwrap_or_default();
-    BagSummary::new(path.into(), files, topics(indexes), custom_data)
+    BagSummary::new(path.into(), files, topics(indexes), metadata::readable_custom_data(path))
 }
 
 fn topics(indexes: &[FileIndex]) -> Vec<WrittenTopic> {

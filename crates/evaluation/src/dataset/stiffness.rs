@@ -22,7 +22,7 @@ impl Stiffnesses {
         Ok(Self { stated, beside: ScenesBeside::default() })
     }
 
-    /// That of a stream of the bag of this number and path (density x velocity^2); `None` if unknown.
+    /// The stiffness of a stream in the bag of this number and path (density x velocity^2); `None` if unknown.
     pub(super) fn of(&mut self, bag: usize, path: &Path, stream: u64) -> Option<f32> {
         self.stated[bag].or_else(|| self.beside.stiffness(path, stream))
     }
