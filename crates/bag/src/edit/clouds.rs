@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
-use super::copy::{CopyOptions, Recording, copy};
+use super::copy::{CopyOptions, copy, recording_of};
 use crate::{
     error::BagError,
     format::{channel::Channel, summary::BagSummary},
@@ -46,9 +46,7 @@ pub fn clouds(
         [Some(message), cloud.map(Ok)].into_iter().flatten()
     });
     let channels = bag.channels().iter().chain(channels.values());
-    let recording =
-        Recording { custom_data: bag.custom_data().clone(), auxiliary: bag.auxiliary() };
-    copy(output, channels, recording, with_clouds, options)
+    copy(output, channels, recording_of(bag), with_clouds, options)
 }
 
 /// The topic on which a node publishes the clouds of a topic of frames.

@@ -13,6 +13,7 @@ use crate::{
     read::{
         auxiliary::{AuxiliaryRecord, Written},
         messages::BagMessage,
+        reader::BagReader,
     },
     write::options::WriterOptions,
 };
@@ -33,6 +34,13 @@ pub(crate) struct Recording<A> {
     pub(crate) custom_data: CustomData,
     /// Attachments and metadata records.
     pub(crate) auxiliary: A,
+}
+
+/// The recording that a bag holds.
+pub(crate) fn recording_of(
+    bag: &BagReader,
+) -> Recording<impl Iterator<Item = Result<AuxiliaryRecord, BagError>>> {
+    Recording { custom_data: bag.custom_data().clone(), auxiliary: bag.auxiliary() }
 }
 
 /// Writes a new bag at `output`, which appears when it is complete.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::copy::{CopyOptions, Recording, copy};
+use super::copy::{CopyOptions, copy, recording_of};
 use crate::{
     error::BagError,
     format::summary::BagSummary,
@@ -24,7 +24,5 @@ pub fn extract(
     let selected = bag.channels().iter().filter(|channel| {
         selection.topics.as_ref().is_none_or(|topics| topics.contains(&channel.topic))
     });
-    let recording =
-        Recording { custom_data: bag.custom_data().clone(), auxiliary: bag.auxiliary() };
-    copy(output, selected, recording, bag.select(selection), options)
+    copy(output, selected, recording_of(bag), bag.select(selection), options)
 }

@@ -3,7 +3,7 @@
 //! 1. `channel`, `qos`: channels and schemas, QoS profiles.
 //! 2. `parse`: bodies of records, with their lengths checked.
 //! 3. `summary`: a finished bag, its files and topics.
-//! 4. `metadata`: `metadata.yaml`, version 9.
+//! 4. `metadata`: `metadata.yaml`, version 9; `custom_data`: its free entries.
 //! 5. `layout`: which files a bag has, where bags are.
 
 pub(crate) mod channel;

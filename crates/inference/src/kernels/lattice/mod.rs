@@ -10,8 +10,8 @@
 //! 1. Bodies (`cover`): particles of jelly that are connected at rest. A lattice of elements covers each. The particles of an element that
 //!    they hardly fill belong to the nearest neighbour that they fill, whose shape functions are extrapolated to them: no node is left
 //!    with little mass.
-//! 2. Nodes (`fit`, their motion: `node`): their positions and velocities are the least-squares fit to those of the particles. What the lattice cannot resolve is
-//!    orthogonal to it, moves freely, and does not disturb the steps of the nodes from frame to frame.
+//! 2. Nodes (`fit`; their motion: `node`): their positions and velocities are the least-squares fit to those of the particles. What the
+//!    lattice cannot resolve is orthogonal to it, moves freely, and does not disturb the steps of the nodes from frame to frame.
 //! 3. Points (`stress`): a quarter of an element each, where the mean of its particles is, with their mass and area. From the deformation
 //!    gradient and its rate there follow the stress (first Piola-Kirchhoff; a viscosity damps the waves that are as short as elements, as the
 //!    grid of the material-point method does), and its forces on the nodes.
