@@ -75,13 +75,9 @@ impl Ballistic {
     /// A coordinate clamped to the space between the walls; NaN stays NaN.
     #[inline(always)]
     pub fn clamp_axis(&self, axis: usize, x: f32) -> f32 {
-        if x < self.lower[axis] {
-            self.lower[axis]
-        } else if x > self.upper[axis] {
-            self.upper[axis]
-        } else {
-            x
-        }
+        // Two selections instead of branches that depend on data.
+        let raised = if x < self.lower[axis] { self.lower[axis] } else { x };
+        if raised > self.upper[axis] { self.upper[axis] } else { raised }
     }
 
     /// Advances all particles by one frame, in place.

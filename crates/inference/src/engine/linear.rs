@@ -51,6 +51,8 @@ pub(super) struct Linear {
     weight: Aligned,
     /// `[panel, lane]`.
     bias: Aligned,
+    /// Number of panels without the last ones whose weights are all zero.
+    computed_panels: usize,
 }
 
 impl Linear {
@@ -77,7 +79,10 @@ impl Linear {
                 group[row % lanes] = weight;
             }
         }
-        Self { lanes, input, output, weight: packed, bias: packed_bias }
+        let mut weights = packed.get().chunks_exact((input * lanes).max(1));
+        let last = weights.rposition(|panel| panel.iter().any(|&weight| weight != 0.0));
+        let computed_panels = last.map_or(0, |last| last + 1);
+        Self { lanes, input, output, weight: packed, bias: packed_bias, computed_panels }
     }
 
     /// Packs a layer outside the core by name.
@@ -135,6 +140,12 @@ impl Linear {
     #[inline(always)]
     pub(super) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {
         [load(simd, &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes]); R]
+    }
+
+    /// Number of panels without the last ones whose outputs are their biases, as their weights are all zero.
+    #[inline(always)]
+    pub(super) fn computed_panels(&self) -> usize {
+        self.computed_panels
     }
 
     /// Number of weights, including padding.

@@ -107,28 +107,14 @@ impl StepContext<'_> {
         std::mem::swap(input, output);
 
         for (number, layer) in model.core.iter().enumerate() {
-            let first = number * self.nodes.order().len();
-            for (&particle, last) in particles.iter().zip(states.chunks_exact_mut(width)) {
-                let row = (first + particle as usize) * width;
-                // SAFETY: a particle has one slot, which is in this block.
-                copy(unsafe { self.hidden.read(row..row + width) }, last);
-            }
+            let (first, sums) = (number * self.nodes.order().len(), layer.sums());
             // As many rows as keep the sums of all gates in registers.
-            let lists = (&**input, &**states);
-            match (layer.sums(), S::REGISTER_COUNT >= 32) {
-                (..=2, true) => {
-                    self.core_layer::<S, 12>(simd, layer, first, particles, lists, output)
-                }
-                (_, true) => self.core_layer::<S, 6>(simd, layer, first, particles, lists, output),
-                (..=2, false) => {
-                    self.core_layer::<S, 6>(simd, layer, first, particles, lists, output)
-                }
-                (_, false) => self.core_layer::<S, 3>(simd, layer, first, particles, lists, output),
-            }
-            for (&particle, output) in particles.iter().zip(output.chunks_exact(width)) {
-                let row = (first + particle as usize) * width;
-                // SAFETY: as above.
-                copy(output, unsafe { self.hidden.part(row..row + width) });
+            let (layer, new) = ((layer, first), (&mut **output, &mut **states));
+            match (sums, S::REGISTER_COUNT >= 32) {
+                (..=2, true) => self.core_layer::<S, 12>(simd, layer, particles, input, new),
+                (_, true) => self.core_layer::<S, 6>(simd, layer, particles, input, new),
+                (..=2, false) => self.core_layer::<S, 6>(simd, layer, particles, input, new),
+                (_, false) => self.core_layer::<S, 3>(simd, layer, particles, input, new),
             }
             std::mem::swap(input, output);
         }
@@ -153,43 +139,52 @@ impl StepContext<'_> {
         }
     }
 
-    /// A layer of the core, R rows at a time: writes new outputs to `output` and new cells in place, from the layer's inputs
-    /// and its last outputs. `first` is the layer's first row in the hidden state.
+    /// A layer of the core, R rows at a time: writes new outputs to `output` and new cells to `new_cells`, from the layer's
+    /// inputs and its last outputs and cells, and both to the hidden state. `first` is the layer's first row there.
     #[inline(always)]
     fn core_layer<S: Simd, const R: usize>(
         &self,
         simd: S,
-        layer: &CoreLayer,
-        first: usize,
+        (layer, first): (&CoreLayer, usize),
         particles: &[u32],
-        (input, last): (&[f32], &[f32]),
-        output: &mut [f32],
+        input: &[f32],
+        (output, new_cells): (&mut [f32], &mut [f32]),
     ) {
         let (width, count) = (self.width, particles.len());
-        let [input, last] = [input, last].map(|numbers| Rows { numbers, width });
-        for panel in 0..layer.panels() {
-            let units = layer.padded_units(panel);
-            for begin in (0..count).step_by(R) {
-                let mut cells = [[].as_slice(); R];
-                if !self.cell.is_empty() {
-                    for (r, cells) in cells.iter_mut().enumerate() {
-                        let row = (first + particles[(begin + r).min(count - 1)] as usize) * width;
-                        // SAFETY: a particle has one slot, which is in this block, and its cells are written
-                        // after this use only.
-                        *cells = unsafe { self.cell.read(row..row + width) };
+        let input = Rows { numbers: input, width };
+        for begin in (0..count).step_by(R) {
+            let (mut hidden, mut cells) = ([[].as_slice(); R], [[].as_slice(); R]);
+            for r in 0..R {
+                let row = (first + particles[(begin + r).min(count - 1)] as usize) * width;
+                // SAFETY: a particle has one slot, which is in this block, and its state is written after this use only.
+                unsafe {
+                    hidden[r] = self.hidden.read(row..row + width);
+                    if layer.has_cell() {
+                        cells[r] = self.cell.read(row..row + width);
                     }
                 }
-                let inputs = input.block::<R>(begin, count);
-                let hidden = last.block::<R>(begin, count);
+            }
+            let inputs = input.block::<R>(begin, count);
+            for panel in 0..layer.panels() {
+                let units = layer.padded_units(panel);
                 let next = layer.step::<S, R, 1>(simd, panel, inputs, hidden, cells);
                 for r in 0..R.min(count - begin) {
                     let row = (begin + r) * width;
-                    store(simd, &mut output[row + units.start..row + units.end], next.hidden[r]);
+                    let own = row + units.start..row + units.end;
+                    store(simd, &mut output[own.clone()], next.hidden[r]);
                     if let Some(cells) = &next.cell {
-                        let row = (first + particles[begin + r] as usize) * width;
-                        // SAFETY: as above.
-                        let own = unsafe { self.cell.part(row + units.start..row + units.end) };
-                        store(simd, own, cells[r]);
+                        store(simd, &mut new_cells[own], cells[r]);
+                    }
+                }
+            }
+            for place in begin..count.min(begin + R) {
+                let row = (first + particles[place] as usize) * width;
+                let own = place * width..(place + 1) * width;
+                // SAFETY: as above.
+                unsafe {
+                    copy(&output[own.clone()], self.hidden.part(row..row + width));
+                    if layer.has_cell() {
+                        copy(&new_cells[own], self.cell.part(row..row + width));
                     }
                 }
             }

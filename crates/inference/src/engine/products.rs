@@ -56,9 +56,17 @@ fn apply_rows<S: Simd, const R: usize, const Q: usize>(
     source: &impl Source,
     sink: &mut impl Sink,
 ) {
+    let computed = linear.computed_panels();
+    for panel in computed..linear.panels() {
+        let [bias] = linear.bias::<S, 1>(simd, panel);
+        (0..count).for_each(
+            #[inline(always)]
+            |row| sink.put(simd, row, linear.padded_outputs(panel), bias),
+        );
+    }
     let mut panel = 0;
-    while panel < linear.panels() {
-        let two = panel + 1 < linear.panels();
+    while panel < computed {
+        let two = panel + 1 < computed;
         let mut first = 0;
         while first < count {
             let many = count - first >= R;

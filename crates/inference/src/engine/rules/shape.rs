@@ -148,15 +148,17 @@ impl Shape<'_> {
             unsafe { (self.limited.read(0..self.order.len()), self.offset.part(rows.clone())) };
         for (row, offset) in rows.zip(offsets) {
             let own = limited[row];
-            *offset = [0.0; 2];
+            // A local sum stays in a register.
+            let mut sum = [0.0; 2];
             for (neighbour, &[x, y]) in self.rest.neighbours(row).iter().zip(self.rest.offsets(row))
             {
                 let theirs = limited[neighbour.particle as usize];
                 for axis in 0..2 {
                     let (a, b) = (own[axis][0] + theirs[axis][0], own[axis][1] + theirs[axis][1]);
-                    offset[axis] -= 0.5 * neighbour.share * (a * x + b * y);
+                    sum[axis] -= 0.5 * neighbour.share * (a * x + b * y);
                 }
             }
+            *offset = sum;
         }
     }
 
