@@ -10,6 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     Ballistic,
     linear::{Linear, load, store},
+    merged::MERGED_NODE_FEATURES,
     products::{Gathered, Output, Rows, Sink, Source, apply},
     scales::{FULL_MASS, MIN_MASS},
     scatter::Segments,
@@ -46,13 +47,13 @@ struct Layer {
 #[derive(Debug)]
 pub(super) struct Grid {
     layers: Vec<Layer>,
-    /// Level of each list, and length of its rows, padded to whole panels of the layer that writes it.
+    /// Level of each list, and length of its rows, padded to whole panels of the layers that write it.
     lists: Vec<(usize, usize)>,
     pub(super) cell_width: f32,
     /// Number of levels.
     pub(super) levels: usize,
-    /// C0.
-    channels: usize,
+    /// E.
+    encoded: usize,
 }
 
 /// The nodes of a frame, and the buffers between layers.
@@ -69,6 +70,7 @@ pub(super) struct Scratch {
 pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_LISTS];
 
 impl Grid {
+    /// Packs the layers of a grid, which are [`merged`](super::merged) with others.
     pub(super) fn pack(
         lanes: usize,
         grid: &GridOptions,
@@ -92,19 +94,29 @@ impl Grid {
                 }
             }
         };
-        let layers = grid_layers(grid);
+        let plans = grid_layers(grid);
         let pack = |layer: &GridLayer| Layer {
             plan: layer.clone(),
-            skip: layer.skip.map(|layer| layers[layer].lists[1]),
+            skip: layer.skip.map(|layer| plans[layer].lists[1]),
             linears: linears(layer),
         };
-        let lists = grid_lists(grid).into_iter();
+        let layers: Vec<_> = plans.iter().map(pack).collect();
+        let inputs = layers[0].linears[0].input() / Stencil::Neighbours.places();
+        // Merged layers have widths of their own; both lists of a level are as wide as its widest layer.
+        let mut widest = vec![0; grid.channels.len()];
+        for Layer { plan, linears, .. } in &layers {
+            widest[plan.level] = linears[0].output().max(widest[plan.level]);
+        }
+        let mut lists: Vec<_> =
+            grid_lists(grid).into_iter().map(|(level, _)| (level, widest[level])).collect();
+        lists[WRITTEN].1 = inputs;
+        lists.iter_mut().for_each(|(_, width)| *width = width.next_multiple_of(lanes));
         Self {
-            layers: layers.iter().map(pack).collect(),
-            lists: lists.map(|(level, width)| (level, width.next_multiple_of(lanes))).collect(),
+            layers,
+            lists,
             cell_width: grid.cell_width,
             levels: grid.channels.len(),
-            channels: grid.channels[0],
+            encoded: inputs - MERGED_NODE_FEATURES,
         }
     }
 
@@ -156,7 +168,7 @@ impl Grid {
         walls: &Walls,
         fields: &Fields,
     ) {
-        let (channels, width) = (self.channels, self.stride(WRITTEN));
+        let (encoded, width) = (self.encoded, self.stride(WRITTEN));
         let own = range(row.nodes);
         // SAFETY: only this item uses these nodes.
         let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
@@ -167,19 +179,14 @@ impl Grid {
         let mut vertical = [lower, upper];
         Exponentials(&mut vertical).with_simd(simd);
         for (written, &[column, _]) in written.chunks_exact_mut(width).zip(at) {
-            let mass = written[channels];
+            let mass = written[encoded];
             let scale = simd.splat_f32s(1.0 / (mass + MIN_MASS));
             for part in S::as_mut_simd_f32s(written).0 {
                 *part = simd.mul_f32s(*part, scale);
             }
             let [left, right] = walls.columns[(column - FIRST_COLUMN) as usize];
-            written[channels] = mass / FULL_MASS;
-            written[channels + 1..channels + 5].copy_from_slice(&[
-                left,
-                vertical[0],
-                right,
-                vertical[1],
-            ]);
+            let own = [mass / FULL_MASS, left, vertical[0], right, vertical[1]];
+            written[encoded + 1..encoded + MERGED_NODE_FEATURES].copy_from_slice(&own);
         }
     }
 

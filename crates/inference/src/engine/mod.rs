@@ -33,6 +33,7 @@ mod frame_model;
 mod grid;
 mod hidden_state;
 mod linear;
+mod merged;
 mod order;
 mod particle_blocks;
 mod particle_features;

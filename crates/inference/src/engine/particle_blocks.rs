@@ -9,7 +9,7 @@ use super::{
     linear::store,
     particle_features::{Motion, ballistic_motion},
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
-    products::{Columns, Concatenated, Output, Rows, apply},
+    products::{Added, Columns, Output, Rows, apply},
 };
 use crate::{checkpoint::grid::READ, kernels::transfer::gather};
 
@@ -26,10 +26,10 @@ impl StepContext<'_> {
     /// Features, encoder, and the block's sums on the nodes (P2G).
     #[inline(always)]
     pub(super) fn encode<S: Simd>(&self, simd: S, item: usize, thread: usize) {
-        let ParticleModel { features, encoder: [first, second], .. } = self.model;
+        let ParticleModel { features, encoder, .. } = self.model;
         let block = self.block(item);
         let particles = &self.nodes.order()[block.clone()];
-        let (count, stride, length) = (block.len(), second.stride(), self.model.columns());
+        let (count, stride, length) = (block.len(), encoder.stride(), self.model.columns());
         let sums = self.segments.sums(item);
         // SAFETY: no other running item has this thread number or this block.
         let (buffers, columns, motions, sums) = unsafe {
@@ -40,7 +40,7 @@ impl StepContext<'_> {
                 self.sums.part(sums.start * stride..sums.end * stride),
             )
         };
-        let LayerBuffers { input: hidden, output: encoded, states } = buffers;
+        let LayerBuffers { output: encoded, states, .. } = buffers;
         features.fill(
             simd,
             &self.inputs,
@@ -64,11 +64,8 @@ impl StepContext<'_> {
         }
 
         let input = Columns { numbers: columns, width: features.count, length: BLOCK };
-        let mut output = Output { numbers: hidden, width: first.stride(), rectify: true };
-        apply(simd, first, count, &input, &mut output);
-        let input = Rows { numbers: hidden, width: first.stride() };
-        let mut output = Output { numbers: encoded, width: stride, rectify: false };
-        apply(simd, second, count, &input, &mut output);
+        let mut output = Output { numbers: encoded, width: stride, rectify: true };
+        apply(simd, encoder, count, &input, &mut output);
         self.segments.add(simd, self.nodes, item, encoded, stride, sums);
     }
 
@@ -103,7 +100,7 @@ impl StepContext<'_> {
         let features = Columns { numbers: columns, width: model.features.count, length: BLOCK };
         let read = Rows { numbers: input, width: channels };
         let mut sink = Output { numbers: output, width, rectify: true };
-        apply(simd, &model.context, count, &Concatenated(features, read), &mut sink);
+        apply(simd, &model.context, count, &Added(read, features), &mut sink);
         std::mem::swap(input, output);
 
         for (number, layer) in model.core.iter().enumerate() {

@@ -15,6 +15,7 @@ use super::{
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::Linear,
+    merged::merged,
     order::reorder,
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
     rules::{self, Correction, Observed, Predicted, RuleSet},
@@ -22,7 +23,7 @@ use super::{
     scatter::Segments,
 };
 use crate::{
-    checkpoint::{Description, Weights, layout},
+    checkpoint::{Description, Weights},
     kernels::{
         nodes::{Nodes, Window},
         vectors::Lanes,
@@ -40,7 +41,8 @@ pub(super) struct ParticleModel {
     /// The instruction set that the weights are packed for.
     arch: Arch,
     pub(super) features: Features,
-    pub(super) encoder: [Linear; 2],
+    /// With a constant output of one, whose sum is the mass of a node, and padding for the nodes' own features.
+    pub(super) encoder: Linear,
     pub(super) grid: Grid,
     pub(super) context: Linear,
     pub(super) core: Vec<CoreLayer>,
@@ -92,16 +94,17 @@ impl ParticleModel {
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
         let lanes = arch.dispatch(Lanes);
-        let linear = |layer| Linear::named(lanes, tensors, layer);
-        let (slowest, fastest) = velocity_limits(&description.normalization);
         let grid = description.grid.as_ref();
         let grid = grid.expect("checked descriptions of particle models have one");
+        let tensors = &merged(grid, tensors);
+        let linear = |layer| Linear::named(lanes, tensors, layer);
+        let (slowest, fastest) = velocity_limits(&description.normalization);
         let grid = Grid::pack(lanes, grid, tensors);
         let rules = RuleSet::new(description);
         Self {
             arch,
             features: Features::new(description),
-            encoder: [linear("encoder.0"), with_one(lanes, tensors, "encoder.1")],
+            encoder: linear("encoder.0"),
             context: linear("context"),
             core: (0..description.sizes.layers)
                 .map(|layer| CoreLayer::pack(lanes, description, tensors, layer))
@@ -125,12 +128,12 @@ impl ParticleModel {
     /// Approximate number of multiplications per particle and frame, without the layers on nodes.
     pub(super) fn work(&self) -> usize {
         let core = self.core.iter().flat_map(CoreLayer::linears);
-        let ends = [&self.context, &self.mixer, &self.decoder];
-        self.encoder.iter().chain(core).chain(ends).map(Linear::weight_count).sum()
+        let ends = [&self.encoder, &self.context, &self.mixer, &self.decoder];
+        core.chain(ends).map(Linear::weight_count).sum()
     }
 
     pub(super) fn scratch(&self, threads: usize) -> Scratch {
-        let widths = [&self.encoder[0], &self.encoder[1], &self.mixer, &self.decoder];
+        let widths = [&self.encoder, &self.mixer, &self.decoder];
         let widths = widths.map(Linear::stride).into_iter();
         let states = stride(self.hidden);
         let widest = widths.max().unwrap_or(0).max(states).max(self.grid.read_width());
@@ -246,19 +249,6 @@ impl ParticleModel {
         segment_sums.resize(sums.max(segment_sums.len()), 0.0);
         ballistic_motion.resize(particles, Motion::default());
     }
-}
-
-/// The second layer of the encoder, with a constant output of one for the mass of the nodes, and padding for
-/// the nodes' own features.
-fn with_one(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Linear {
-    let [mut weight, mut bias] = layout::names(layer).map(|name| tensors[&name].clone());
-    let (outputs, inputs) = (weight.shape[0] + layout::NODE_FEATURES, weight.shape[1]);
-    weight.shape[0] = outputs;
-    weight.values.resize(outputs * inputs, 0.0);
-    bias.shape[0] = outputs;
-    bias.values.push(1.0);
-    bias.values.resize(outputs, 0.0);
-    Linear::pack(lanes, &weight, &bias, 0, 1)
 }
 
 /// A stage of a frame.

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use super::linear::{Linear, add_products, store};
+use super::linear::{Linear, add_products, load, store};
 use crate::kernels::math::relu;
 
 /// The inputs of a layer, row by row.
@@ -235,10 +235,10 @@ impl Source for Columns<'_> {
     }
 }
 
-/// Rows in two parts: the first inputs from columns, the others from rows.
-pub(super) struct Concatenated<'a>(pub(super) Columns<'a>, pub(super) Rows<'a>);
+/// Rows of outputs, to which the products of a source are added.
+pub(super) struct Added<'a, T>(pub(super) Rows<'a>, pub(super) T);
 
-impl Source for Concatenated<'_> {
+impl<T: Source> Source for Added<'_, T> {
     #[inline(always)]
     fn add<S: Simd, const G: usize, const R: usize>(
         &self,
@@ -247,12 +247,17 @@ impl Source for Concatenated<'_> {
         panels: [usize; G],
         first: usize,
         count: usize,
-        sums: [[S::f32s; R]; G],
+        mut sums: [[S::f32s; R]; G],
     ) -> [[S::f32s; R]; G] {
-        let Self(left, right) = self;
-        let sums = left.add(simd, linear, panels, first, count, sums);
-        let inputs = left.width..linear.input();
-        add_part(simd, linear, panels, inputs, right.block::<R>(first, count), sums)
+        let Self(rows, source) = self;
+        let rows = rows.block::<R>(first, count);
+        for g in 0..G {
+            let outputs = linear.padded_outputs(panels[g]);
+            for r in 0..R {
+                sums[g][r] = simd.add_f32s(sums[g][r], load(simd, &rows[r][outputs.clone()]));
+            }
+        }
+        source.add(simd, linear, panels, first, count, sums)
     }
 }
 
