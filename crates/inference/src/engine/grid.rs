@@ -9,7 +9,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Ballistic,
-    linear::{Linear, load, store},
+    linear::{SplitLinear, load, store},
     merged::MERGED_NODE_FEATURES,
     products::{Gathered, Output, Rows, Sink, Source, apply},
     scales::{FULL_MASS, MIN_MASS},
@@ -40,7 +40,7 @@ struct Layer {
     /// The list that is added, of a layer that reads parents.
     skip: Option<usize>,
     /// One matrix, or one per child.
-    linears: Vec<Linear>,
+    linears: Vec<SplitLinear>,
 }
 
 /// The packed layers.
@@ -80,7 +80,7 @@ impl Grid {
             let [weight, bias] = layout::names(&layer.name).map(|name| &tensors[&name]);
             match layer.stencil {
                 Stencil::Neighbours | Stencil::Children => {
-                    vec![Linear::pack(lanes, weight, bias, 0, 1)]
+                    vec![SplitLinear::pack(lanes, weight, bias)]
                 }
                 // All children share the bias.
                 Stencil::Parent => {
@@ -90,7 +90,7 @@ impl Grid {
                         shape: vec![outputs, inputs],
                         values: values.to_vec(),
                     };
-                    children.map(|own| Linear::pack(lanes, &child(own), bias, 0, 1)).collect()
+                    children.map(|own| SplitLinear::pack(lanes, &child(own), bias)).collect()
                 }
             }
         };
@@ -105,7 +105,7 @@ impl Grid {
         // Merged layers have widths of their own; both lists of a level are as wide as its widest layer.
         let mut widest = vec![0; grid.channels.len()];
         for Layer { plan, linears, .. } in &layers {
-            widest[plan.level] = linears[0].output().max(widest[plan.level]);
+            widest[plan.level] = linears[0].stride().max(widest[plan.level]);
         }
         let mut lists: Vec<_> =
             grid_lists(grid).into_iter().map(|(level, _)| (level, widest[level])).collect();

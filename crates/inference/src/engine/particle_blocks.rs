@@ -174,14 +174,16 @@ impl StepContext<'_> {
                     }
                 }
             }
-            for place in begin..count.min(begin + R) {
-                let row = (first + particles[place] as usize) * width;
-                let own = place * width..(place + 1) * width;
+            let output = output[begin * width..].chunks_exact(width);
+            let cells = new_cells[begin * width..].chunks_exact(width);
+            let particles = &particles[begin..count.min(begin + R)];
+            for ((&particle, output), cells) in particles.iter().zip(output).zip(cells) {
+                let row = (first + particle as usize) * width;
                 // SAFETY: as above.
                 unsafe {
-                    copy(&output[own.clone()], self.hidden.part(row..row + width));
+                    copy(output, self.hidden.part(row..row + width));
                     if layer.has_cell() {
-                        copy(&new_cells[own], self.cell.part(row..row + width));
+                        copy(cells, self.cell.part(row..row + width));
                     }
                 }
             }

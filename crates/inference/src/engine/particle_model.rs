@@ -14,7 +14,7 @@ use super::{
     core::CoreLayer,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
-    linear::Linear,
+    linear::{Linear, SplitLinear},
     merged::merged,
     order::reorder,
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
@@ -42,12 +42,12 @@ pub(super) struct ParticleModel {
     arch: Arch,
     pub(super) features: Features,
     /// With a constant output of one, whose sum is the mass of a node, and padding for the nodes' own features.
-    pub(super) encoder: Linear,
+    pub(super) encoder: SplitLinear,
     pub(super) grid: Grid,
-    pub(super) context: Linear,
+    pub(super) context: SplitLinear,
     pub(super) core: Vec<CoreLayer>,
-    pub(super) mixer: Linear,
-    pub(super) decoder: Linear,
+    pub(super) mixer: SplitLinear,
+    pub(super) decoder: SplitLinear,
     /// H.
     pub(super) hidden: usize,
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
@@ -97,7 +97,7 @@ impl ParticleModel {
         let grid = description.grid.as_ref();
         let grid = grid.expect("checked descriptions of particle models have one");
         let tensors = &merged(grid, tensors);
-        let linear = |layer| Linear::named(lanes, tensors, layer);
+        let linear = |layer| SplitLinear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
         let grid = Grid::pack(lanes, grid, tensors);
         let rules = RuleSet::new(description);
@@ -127,14 +127,14 @@ impl ParticleModel {
 
     /// Approximate number of multiplications per particle and frame, without the layers on nodes.
     pub(super) fn work(&self) -> usize {
-        let core = self.core.iter().flat_map(CoreLayer::linears);
+        let core = self.core.iter().flat_map(CoreLayer::linears).map(Linear::weight_count);
         let ends = [&self.encoder, &self.context, &self.mixer, &self.decoder];
-        core.chain(ends).map(Linear::weight_count).sum()
+        core.chain(ends.map(SplitLinear::weight_count)).sum()
     }
 
     pub(super) fn scratch(&self, threads: usize) -> Scratch {
         let widths = [&self.encoder, &self.mixer, &self.decoder];
-        let widths = widths.map(Linear::stride).into_iter();
+        let widths = widths.map(SplitLinear::stride).into_iter();
         let states = stride(self.hidden);
         let widest = widths.max().unwrap_or(0).max(states).max(self.grid.read_width());
         let zeros = |width| vec![0.0; BLOCK * width];

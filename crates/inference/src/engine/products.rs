@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use super::linear::{Linear, add_products, load, store};
+use super::linear::{Linear, SplitLinear, add_products, load, store};
 use crate::kernels::math::relu;
 
 /// The inputs of a layer, row by row.
@@ -35,15 +35,20 @@ pub(super) trait Sink {
 #[inline(always)]
 pub(super) fn apply<S: Simd>(
     simd: S,
-    linear: &Linear,
+    linear: &SplitLinear,
     count: usize,
     source: &impl Source,
     sink: &mut impl Sink,
 ) {
     if S::REGISTER_COUNT >= 32 {
-        apply_rows::<S, 12, 4>(simd, linear, count, source, sink);
+        apply_rows::<S, 12, 4>(simd, &linear.whole, count, source, sink);
     } else {
-        apply_rows::<S, 6, 2>(simd, linear, count, source, sink);
+        apply_rows::<S, 6, 2>(simd, &linear.whole, count, source, sink);
+    }
+    // With as many rows, since there are as many registers.
+    #[cfg(target_arch = "x86_64")]
+    if let Some((simd, half)) = &linear.half {
+        apply_rows::<_, 12, 4>(*simd, half, count, source, sink);
     }
 }
 
