@@ -1,4 +1,5 @@
-//! The layers on the particle model's grid, in order: what each reads and writes. The engine, burn and the GPU follow this list.
+//! The layers on the particle model's grid, in order: what each reads and writes. The engine, burn and the GPU follow this list; the
+//! engine combines the first and the last one with others, and has widths of its own for them.
 
 use super::{GridOptions, layout::NODE_FEATURES};
 use crate::kernels::nodes::MAX_LEVELS;

@@ -75,9 +75,7 @@ impl Ballistic {
     /// A coordinate clamped to the space between the walls; NaN stays NaN.
     #[inline(always)]
     pub fn clamp_axis(&self, axis: usize, x: f32) -> f32 {
-        // Two selections instead of branches that depend on data.
-        let raised = if x < self.lower[axis] { self.lower[axis] } else { x };
-        if raised > self.upper[axis] { self.upper[axis] } else { raised }
+        clamped(x, self.lower[axis], self.upper[axis])
     }
 
     /// Advances all particles by one frame, in place.
@@ -86,6 +84,13 @@ impl Ballistic {
             (*x, *v) = self.step(*x, *v);
         }
     }
+}
+
+/// A number between limits, by two selections instead of branches that depend on data; NaN stays NaN.
+#[inline(always)]
+pub(super) fn clamped(x: f32, low: f32, high: f32) -> f32 {
+    let raised = if x < low { low } else { x };
+    if raised > high { high } else { raised }
 }
 
 #[cfg(test)]

@@ -70,7 +70,7 @@ pub(super) struct Scratch {
 pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_LISTS];
 
 impl Grid {
-    /// Packs the layers of a grid, which are [`merged`](super::merged) with others.
+    /// Packs the layers of a grid from the tensors of [`merged`](super::merged).
     pub(super) fn pack(
         lanes: usize,
         grid: &GridOptions,
@@ -101,16 +101,15 @@ impl Grid {
             linears: linears(layer),
         };
         let layers: Vec<_> = plans.iter().map(pack).collect();
-        let inputs = layers[0].linears[0].input() / Stencil::Neighbours.places();
-        // Merged layers have widths of their own; both lists of a level are as wide as its widest layer.
+        // Both lists of a level are as wide as its widest layer.
         let mut widest = vec![0; grid.channels.len()];
         for Layer { plan, linears, .. } in &layers {
             widest[plan.level] = linears[0].stride().max(widest[plan.level]);
         }
         let mut lists: Vec<_> =
             grid_lists(grid).into_iter().map(|(level, _)| (level, widest[level])).collect();
-        lists[WRITTEN].1 = inputs;
-        lists.iter_mut().for_each(|(_, width)| *width = width.next_multiple_of(lanes));
+        let inputs = layers[0].linears[0].input() / Stencil::Neighbours.places();
+        lists[WRITTEN].1 = inputs.next_multiple_of(lanes);
         Self {
             layers,
             lists,
@@ -185,8 +184,8 @@ impl Grid {
                 *part = simd.mul_f32s(*part, scale);
             }
             let [left, right] = walls.columns[(column - FIRST_COLUMN) as usize];
-            let own = [mass / FULL_MASS, left, vertical[0], right, vertical[1]];
-            written[encoded + 1..encoded + MERGED_NODE_FEATURES].copy_from_slice(&own);
+            let features = [mass / FULL_MASS, left, vertical[0], right, vertical[1]];
+            written[encoded + 1..encoded + MERGED_NODE_FEATURES].copy_from_slice(&features);
         }
     }
 

@@ -48,7 +48,7 @@ pub(super) struct Linear {
     /// Outputs per panel.
     lanes: usize,
     input: usize,
-    /// Number of outputs before these.
+    /// Place of the first output in output rows.
     first: usize,
     output: usize,
     /// `[panel, input, lane]`; zero in unused lanes of the last panel.
@@ -74,7 +74,7 @@ impl Linear {
         Self::pack_rows(lanes, weight, bias, rows, 0)
     }
 
-    /// Packs rows of a weight, whose outputs follow `first` others.
+    /// Packs rows of a weight, whose outputs follow `first` others in output rows.
     fn pack_rows(
         lanes: usize,
         weight: &Weights,
@@ -124,7 +124,8 @@ impl Linear {
     /// The outputs of a panel.
     #[inline(always)]
     pub(super) fn outputs(&self, panel: usize) -> Range<usize> {
-        outputs(panel, self.lanes, self.output)
+        let Range { start, end } = outputs(panel, self.lanes, self.output);
+        self.first + start..self.first + end
     }
 
     /// The outputs of a panel in rows of all outputs, padded to whole panels.
@@ -152,7 +153,7 @@ impl Linear {
         [load(simd, &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes]); R]
     }
 
-    /// Number of panels without the last ones whose outputs are their biases, as their weights are all zero.
+    /// Number of panels without the last ones whose outputs are their biases, as their weights are all zero (with NaN as an input, too).
     #[inline(always)]
     pub(super) fn computed_panels(&self) -> usize {
         self.computed_panels
@@ -172,7 +173,7 @@ pub(super) struct SplitLinear {
     pub(super) whole: Linear,
     /// The last outputs, and the instruction set that they are packed for.
     #[cfg(target_arch = "x86_64")]
-    pub(super) half: Option<(V3, Linear)>,
+    pub(super) last: Option<(V3, Linear)>,
     /// Length of output rows.
     stride: usize,
 }
@@ -184,23 +185,24 @@ impl SplitLinear {
         let stride = output.next_multiple_of(lanes);
         #[cfg(target_arch = "x86_64")]
         {
-            let whole = output - output % lanes;
-            // Constant outputs cost nothing in a whole vector.
-            let last = &weight.values[whole * weight.shape[1]..];
-            let few = (1..=HALF).contains(&(output - whole)) && last.iter().any(|&w| w != 0.0);
+            let before = output - output % lanes;
+            // Constant outputs cost nothing either way, and whole vectors of them are written and read faster.
+            let weights = &weight.values[before * weight.shape[1]..];
+            let is_constant = weights.iter().all(|&weight| weight == 0.0);
+            let few = lanes == 2 * HALF_LANES && (1..=HALF_LANES).contains(&(output - before));
             let part = |lanes, rows: Range<usize>| {
                 let first = rows.start;
                 Linear::pack_rows(lanes, weight, bias, rows, first)
             };
-            if let Some(simd) = V3::try_new().filter(|_| few && lanes == 2 * HALF) {
-                let half = Some((simd, part(HALF, whole..output)));
-                return Self { whole: part(lanes, 0..whole), half, stride };
+            if let Some(simd) = V3::try_new().filter(|_| few && !is_constant) {
+                let last = Some((simd, part(HALF_LANES, before..output)));
+                return Self { whole: part(lanes, 0..before), last, stride };
             }
         }
         Self {
             whole: Linear::pack(lanes, weight, bias, 0, 1),
             #[cfg(target_arch = "x86_64")]
-            half: None,
+            last: None,
             stride,
         }
     }
@@ -216,7 +218,7 @@ impl SplitLinear {
         self.whole.input()
     }
 
-    /// Length of output rows: whole panels of the widest vectors. Numbers behind the last panel are not written.
+    /// Length of output rows: whole panels of the widest vectors. Numbers behind the outputs are arbitrary.
     pub(super) fn stride(&self) -> usize {
         self.stride
     }
@@ -229,7 +231,7 @@ impl SplitLinear {
 
 /// Numbers in a vector of 256 bits.
 #[cfg(target_arch = "x86_64")]
-const HALF: usize = 8;
+const HALF_LANES: usize = 8;
 
 /// The outputs of a panel: `lanes`, or fewer in the last one.
 #[inline(always)]
@@ -304,4 +306,72 @@ pub(super) fn add_products<S: Simd, const G: usize, const R: usize, const K: usi
         }
     }
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use pulp::{Arch, WithSimd};
+
+    use super::*;
+    use crate::{
+        engine::products::{Output, Rows, apply},
+        kernels::vectors::Lanes,
+    };
+
+    /// The outputs of a layer, `[rows, output]`, from `[rows, input]`.
+    struct Outputs<'a>(&'a SplitLinear, &'a [f32], usize);
+
+    impl WithSimd for Outputs<'_> {
+        type Output = Vec<f32>;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> Vec<f32> {
+            let Self(layer, numbers, output) = self;
+            let (width, stride) = (layer.input(), layer.stride());
+            let count = numbers.len() / width;
+            let mut outputs = vec![f32::NAN; count * stride];
+            let mut sink = Output { numbers: &mut outputs, width: stride, rectify: false };
+            apply(simd, layer, count, &Rows { numbers, width }, &mut sink);
+            outputs.chunks_exact(stride).flat_map(|row| row[..output].to_vec()).collect()
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn outputs_are_those_of_whole_vectors_and_of_plain_sums(
+            input in 1usize..20,
+            output in 1usize..70,
+            count in 1usize..30,
+            constant in 0usize..40,
+        ) {
+            let number = |k: usize| (k * 37 % 101) as f32 / 50.5 - 1.0;
+            let mut weight: Vec<_> = (0..output * input).map(number).collect();
+            // Weights of the last outputs.
+            weight[output.saturating_sub(constant) * input..].fill(0.0);
+            let weight = Weights { shape: vec![output, input], values: weight };
+            let bias: Vec<_> = (0..output).map(|k| number(k + 5)).collect();
+            let bias = Weights { shape: vec![output], values: bias };
+            let rows: Vec<_> = (0..count * input).map(|k| number(3 * k + 1)).collect();
+
+            let arch = Arch::new();
+            let split = SplitLinear::pack(arch.dispatch(Lanes), &weight, &bias);
+            let whole = SplitLinear {
+                whole: Linear::pack(arch.dispatch(Lanes), &weight, &bias, 0, 1),
+                #[cfg(target_arch = "x86_64")]
+                last: None,
+                stride: split.stride,
+            };
+            let found = arch.dispatch(Outputs(&split, &rows, output));
+            prop_assert_eq!(&found, &arch.dispatch(Outputs(&whole, &rows, output)));
+            let expected = rows.chunks_exact(input).flat_map(|row| {
+                bias.values.iter().zip(weight.values.chunks_exact(input)).map(move |(bias, weight)| {
+                    weight.iter().zip(row).fold(*bias, |sum, (weight, x)| sum + weight * x)
+                })
+            });
+            for (found, expected) in found.iter().zip(expected) {
+                prop_assert!((found - expected).abs() < 1e-5, "{} {}", found, expected);
+            }
+        }
+    }
 }

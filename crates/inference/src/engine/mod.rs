@@ -10,7 +10,7 @@
 //!    (Table 1), whose outputs [`Decoded`] turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
-//!    `merged`: the layers as they are computed.
+//!    `merged` combines layers that have no activation between them.
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.

@@ -5,11 +5,12 @@ use pulp::Simd;
 
 use super::{
     Ballistic,
+    ballistic::clamped,
     core::CoreLayer,
     linear::store,
     particle_features::{Motion, ballistic_motion},
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
-    products::{Added, Columns, Output, Rows, apply},
+    products::{Columns, Output, Rows, Sum, apply},
 };
 use crate::{checkpoint::grid::READ, kernels::transfer::gather};
 
@@ -63,7 +64,7 @@ impl StepContext<'_> {
             unsafe { self.expected_velocity.part(particle..particle + 1)[0] = motion.1 };
         }
 
-        let input = Columns { numbers: columns, width: features.count, length: BLOCK };
+        let input = Columns { numbers: columns, length: BLOCK };
         let mut output = Output { numbers: encoded, width: stride, rectify: true };
         apply(simd, encoder, count, &input, &mut output);
         self.segments.add(simd, self.nodes, item, encoded, stride, sums);
@@ -86,7 +87,7 @@ impl StepContext<'_> {
                 field.read(0..self.nodes.level(0).len() * channels),
             )
         };
-        let LayerBuffers { input, output, states } = buffers;
+        let LayerBuffers { input, output, states: new_cells } = buffers;
         gather(
             simd,
             self.nodes,
@@ -97,16 +98,16 @@ impl StepContext<'_> {
             |slot| slot - block.start,
             input,
         );
-        let features = Columns { numbers: columns, width: model.features.count, length: BLOCK };
-        let read = Rows { numbers: input, width: channels };
-        let mut sink = Output { numbers: output, width, rectify: true };
-        apply(simd, &model.context, count, &Added(read, features), &mut sink);
+        let features = Columns { numbers: columns, length: BLOCK };
+        let gathered = Rows { numbers: input, width: channels };
+        let mut sink = Sum { numbers: output, width, added: gathered };
+        apply(simd, &model.context, count, &features, &mut sink);
         std::mem::swap(input, output);
 
         for (number, layer) in model.core.iter().enumerate() {
             let (first, sums) = (number * self.nodes.order().len(), layer.sums());
             // As many rows as keep the sums of all gates in registers.
-            let (layer, new) = ((layer, first), (&mut **output, &mut **states));
+            let (layer, new) = ((layer, first), (&mut **output, &mut **new_cells));
             match (sums, S::REGISTER_COUNT >= 32) {
                 (..=2, true) => self.core_layer::<S, 12>(simd, layer, particles, input, new),
                 (_, true) => self.core_layer::<S, 6>(simd, layer, particles, input, new),
@@ -127,7 +128,7 @@ impl StepContext<'_> {
         for ((&particle, ballistic_motion), residual) in
             particles.iter().zip(ballistic_motion).zip(residuals)
         {
-            // SAFETY: as above.
+            // SAFETY: a particle has one slot, which is in this block, and one place.
             let (position, velocity) =
                 unsafe { self.predicted.one(self.place[particle as usize] as usize) };
             let (residual, _) = residual.as_chunks::<OUTPUTS>();
@@ -174,16 +175,15 @@ impl StepContext<'_> {
                     }
                 }
             }
-            let output = output[begin * width..].chunks_exact(width);
-            let cells = new_cells[begin * width..].chunks_exact(width);
-            let particles = &particles[begin..count.min(begin + R)];
-            for ((&particle, output), cells) in particles.iter().zip(output).zip(cells) {
+            let units = layer.padded_units(layer.panels() - 1).end;
+            for (r, &particle) in particles[begin..].iter().take(R).enumerate() {
                 let row = (first + particle as usize) * width;
+                let own = (begin + r) * width..(begin + r) * width + units;
                 // SAFETY: as above.
                 unsafe {
-                    copy(output, self.hidden.part(row..row + width));
+                    copy(&output[own.clone()], self.hidden.part(row..row + units));
                     if layer.has_cell() {
-                        copy(cells, self.cell.part(row..row + width));
+                        copy(&new_cells[own], self.cell.part(row..row + units));
                     }
                 }
             }
@@ -200,15 +200,11 @@ impl ParticleModel {
         (position, velocity): &Motion,
         residual: &[f32; OUTPUTS],
     ) -> Motion {
-        let between = |x: f32, low: f32, high: f32| {
-            let raised = if x < low { low } else { x };
-            if raised > high { high } else { raised }
-        };
         // Loops: closures of `map` and `from_fn` may not be inlined and would lose the SIMD instruction set.
         let (mut place, mut speed, unit) = ([0.0; 2], [0.0; 2], self.features.velocity_unit);
         for axis in 0..2 {
             let faster = velocity[axis] + residual[axis] * unit;
-            speed[axis] = between(faster, self.slowest[axis], self.fastest[axis]);
+            speed[axis] = clamped(faster, self.slowest[axis], self.fastest[axis]);
             let farther = position[axis] + residual[2 + axis] * unit * ballistic.dt;
             place[axis] = ballistic.clamp_axis(axis, farther);
         }
@@ -216,10 +212,14 @@ impl ParticleModel {
     }
 }
 
-/// Copies a row of hidden states, whose length is a multiple of eight.
+/// Copies a row of hidden states: a loop, as a call for few numbers is slower.
 #[inline(always)]
 fn copy(from: &[f32], to: &mut [f32]) {
-    for (to, from) in to.as_chunks_mut::<8>().0.iter_mut().zip(from.as_chunks().0) {
+    let ((chunks, last), (from_chunks, from_last)) = (to.as_chunks_mut::<8>(), from.as_chunks());
+    for (to, from) in chunks.iter_mut().zip(from_chunks) {
+        *to = *from;
+    }
+    for (to, from) in last.iter_mut().zip(from_last) {
         *to = *from;
     }
 }

@@ -83,7 +83,7 @@ pub(super) struct LayerBuffers {
     pub(super) input: Vec<f32>,
     /// Its output, `[BLOCK, its width]`.
     pub(super) output: Vec<f32>,
-    /// What the features are computed from, or the last outputs of a layer of the core, `[BLOCK, its width]`.
+    /// What the features are computed from, `[STATE_COLUMNS, BLOCK]`, or the new cells of a layer of the core, `[BLOCK, its width]`.
     pub(super) states: Vec<f32>,
 }
 

@@ -45,10 +45,10 @@ pub(super) fn apply<S: Simd>(
     } else {
         apply_rows::<S, 6, 2>(simd, &linear.whole, count, source, sink);
     }
-    // With as many rows, since there are as many registers.
+    // The code is part of a function for AVX-512, which has 32 registers of 256 bits as well.
     #[cfg(target_arch = "x86_64")]
-    if let Some((simd, half)) = &linear.half {
-        apply_rows::<_, 12, 4>(*simd, half, count, source, sink);
+    if let Some((simd, last)) = &linear.last {
+        apply_rows::<_, 12, 4>(*simd, last, count, source, sink);
     }
 }
 
@@ -194,16 +194,13 @@ impl Source for Rows<'_> {
 }
 
 /// The rows of a block in column-major order.
-#[derive(Clone, Copy)]
 pub(super) struct Columns<'a> {
-    /// `[width, length]`; the values of missing rows are arbitrary.
+    /// `[inputs, length]`; the values of missing rows are arbitrary.
     pub(super) numbers: &'a [f32],
-    pub(super) width: usize,
     pub(super) length: usize,
 }
 
 impl Source for Columns<'_> {
-    /// The products with the weights of the first `width` inputs.
     #[inline(always)]
     fn add<S: Simd, const G: usize, const R: usize>(
         &self,
@@ -216,12 +213,13 @@ impl Source for Columns<'_> {
     ) -> [[S::f32s; R]; G] {
         let mut weights = [[].as_slice(); G];
         for g in 0..G {
-            weights[g] = S::as_simd_f32s(linear.inputs(panels[g], 0..self.width)).0;
+            weights[g] = S::as_simd_f32s(linear.panel(panels[g])).0;
         }
-        assert!(weights.iter().all(|weights| weights.len() == self.width));
-        assert!(first + R <= self.length && self.numbers.len() == self.width * self.length);
-        for k in 0..self.width {
-            // SAFETY: k is less than the width, which was compared with the lengths above.
+        let inputs = linear.input();
+        assert!(weights.iter().all(|weights| weights.len() == inputs));
+        assert!(first + R <= self.length && self.numbers.len() == inputs * self.length);
+        for k in 0..inputs {
+            // SAFETY: k is less than the number of inputs, which was compared with the lengths above.
             let (weights, numbers) = unsafe {
                 let first = k * self.length + first;
                 (
@@ -237,32 +235,6 @@ impl Source for Columns<'_> {
             }
         }
         sums
-    }
-}
-
-/// Rows of outputs, to which the products of a source are added.
-pub(super) struct Added<'a, T>(pub(super) Rows<'a>, pub(super) T);
-
-impl<T: Source> Source for Added<'_, T> {
-    #[inline(always)]
-    fn add<S: Simd, const G: usize, const R: usize>(
-        &self,
-        simd: S,
-        linear: &Linear,
-        panels: [usize; G],
-        first: usize,
-        count: usize,
-        mut sums: [[S::f32s; R]; G],
-    ) -> [[S::f32s; R]; G] {
-        let Self(rows, source) = self;
-        let rows = rows.block::<R>(first, count);
-        for g in 0..G {
-            let outputs = linear.padded_outputs(panels[g]);
-            for r in 0..R {
-                sums[g][r] = simd.add_f32s(sums[g][r], load(simd, &rows[r][outputs.clone()]));
-            }
-        }
-        source.add(simd, linear, panels, first, count, sums)
     }
 }
 
@@ -318,5 +290,23 @@ impl Sink for Output<'_> {
         let sums = if self.rectify { relu(simd, sums) } else { sums };
         let first = row * self.width;
         store(simd, &mut self.numbers[first + outputs.start..first + outputs.end], sums);
+    }
+}
+
+/// Contiguous rows, ReLU of the sum with other rows.
+pub(super) struct Sum<'a> {
+    /// `[.., width]`.
+    pub(super) numbers: &'a mut [f32],
+    pub(super) width: usize,
+    pub(super) added: Rows<'a>,
+}
+
+impl Sink for Sum<'_> {
+    #[inline(always)]
+    fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s) {
+        let first = row * self.width;
+        let sums = simd.add_f32s(load(simd, &self.added.row(row)[outputs.clone()]), sums);
+        let own = &mut self.numbers[first + outputs.start..first + outputs.end];
+        store(simd, own, relu(simd, sums));
     }
 }

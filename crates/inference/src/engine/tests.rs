@@ -239,6 +239,25 @@ fn a_network_that_ignores_the_stiffness_predicts_as_an_unconditioned_one() {
 }
 
 #[test]
+fn units_that_ignore_the_features_still_have_what_is_gathered() {
+    let frames = frames(3, 200, 4);
+    let features = particle_features(false);
+    let with = |weight: f32| {
+        let mut checkpoint = particle_model(Core::MinGru);
+        let Weights { shape, values } = checkpoint.tensors.get_mut("context.weight").unwrap();
+        values.chunks_mut(shape[1]).for_each(|row| row[..features].fill(weight));
+        let predicted = instruction_sets().into_iter().map(|set| {
+            predict(&Surrogate::load_for(&checkpoint, threads(1), set).unwrap(), &frames)
+        });
+        predicted.flatten().collect::<Vec<_>>()
+    };
+    for (none, tiny) in with(0.0).iter().zip(&with(1e-30)) {
+        assert!(largest_difference(&none.position, &tiny.position) < 1e-6);
+        assert!(largest_difference(&none.velocity, &tiny.velocity) < 1e-5);
+    }
+}
+
+#[test]
 fn the_feature_of_the_stiffness_is_a_logarithm() {
     assert_eq!(
         [1e4, 1e4 * 10f32.powf(1.5), 1.0, 1e9].map(stiffness_feature),
@@ -502,7 +521,8 @@ fn a_larger_domain_changes_nothing_for_a_scene_far_from_the_walls_that_moved() {
         predict(&surrogate, std::slice::from_ref(&frame)).remove(0)
     });
     assert!(largest_difference(&small.position, &large.position) < 1e-6);
-    assert!(largest_difference(&small.velocity, &large.velocity) < 1e-5);
+    // A rule changes velocities by the change of positions divided by dt: the last place of a position is 1.5e-5 of a velocity.
+    assert!(largest_difference(&small.velocity, &large.velocity) < 1e-4);
 }
 
 #[test]
