@@ -186,17 +186,14 @@ impl SplitLinear {
         #[cfg(target_arch = "x86_64")]
         {
             let before = output - output % lanes;
-            // Constant outputs cost nothing either way, and whole vectors of them are written and read faster.
-            let weights = &weight.values[before * weight.shape[1]..];
-            let is_constant = weights.iter().all(|&weight| weight == 0.0);
             let few = lanes == 2 * HALF_LANES && (1..=HALF_LANES).contains(&(output - before));
-            let part = |lanes, rows: Range<usize>| {
-                let first = rows.start;
-                Linear::pack_rows(lanes, weight, bias, rows, first)
-            };
-            if let Some(simd) = V3::try_new().filter(|_| few && !is_constant) {
-                let last = Some((simd, part(HALF_LANES, before..output)));
-                return Self { whole: part(lanes, 0..before), last, stride };
+            if let Some(simd) = V3::try_new().filter(|_| few) {
+                let last = Linear::pack_rows(HALF_LANES, weight, bias, before..output, before);
+                // Constant outputs cost nothing either way, and whole vectors of them are written and read faster.
+                if last.computed_panels() > 0 {
+                    let whole = Linear::pack_rows(lanes, weight, bias, 0..before, 0);
+                    return Self { whole, last: Some((simd, last)), stride };
+                }
             }
         }
         Self {
