@@ -1,4 +1,4 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from types import TracebackType
 from typing import Any, Literal, Protocol, TypedDict, final
@@ -183,6 +183,8 @@ class Bag:
     def __new__(cls, path: _Path) -> Bag: ...
     @property
     def topics(self) -> list[_Topic]: ...
+    @property
+    def custom_data(self) -> dict[str, str]: ...
     def frames(self, topic: str = "/particles") -> Frames: ...
     def arrays(self, topic: str = "/particles", *, stream: int | None = None) -> _Arrays: ...
     def messages(
@@ -228,7 +230,11 @@ class Message:
 @final
 class BagWriter:
     def __new__(
-        cls, path: _Path, *, compression: Literal["none", "lz4", "zstd"] = "zstd"
+        cls,
+        path: _Path,
+        *,
+        compression: Literal["none", "lz4", "zstd"] = "zstd",
+        custom_data: Mapping[str, str] = {},
     ) -> BagWriter: ...
     def write_frame(
         self, frame: Frame, topic: str = "/particles", *, log_time: int | None = None

@@ -5,7 +5,10 @@ use std::{
     sync::{Arc, Mutex},
 };
 
-use eddy_bag::{BagReader, Compression, Selection, TopicId, WriterOptions};
+use eddy_bag::{
+    BagReader, Compression, Selection, TopicId, WriterOptions,
+    custom_data::{CustomData, check_entry},
+};
 use eddy_frames::{Stamp, clock};
 use eddy_messages::{FrameCdr, Message as _, ParticleFrame, QosProfile, TypeSupport};
 use pyo3::{
@@ -47,6 +50,12 @@ impl Bag {
             Ok(entry)
         });
         topics.collect()
+    }
+
+    /// The entries of `custom_data` in metadata.yaml.
+    #[getter]
+    fn custom_data(&self) -> CustomData {
+        self.inner.custom_data().clone()
     }
 
     /// An iterator over the frames of a topic in the order of their log time.
@@ -282,7 +291,9 @@ impl Message {
 
 /// Writes a bag. Use it in a `with` statement, or call `close`.
 ///
-/// `path` is the directory of the bag, which must not exist. `compression` is none, lz4 or zstd.
+/// `path` is the directory of the bag, which must not exist. `compression` is none, lz4 or zstd. `custom_data` are entries of
+/// custom_data in metadata.yaml; eddy_stiffness is Young's modulus of the recorded matter (density x velocity^2), a positive number
+/// as text.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct BagWriter {
     /// None after `close`.
@@ -304,16 +315,23 @@ impl BagWriter {
 #[pymethods]
 impl BagWriter {
     #[new]
-    #[pyo3(signature = (path, *, compression="zstd"))]
-    fn new(path: PathBuf, compression: &str) -> PyResult<Self> {
+    #[pyo3(signature = (path, *, compression="zstd", custom_data=CustomData::new()))]
+    fn new(path: PathBuf, compression: &str, custom_data: CustomData) -> PyResult<Self> {
         let compression = match compression {
             "none" => Compression::None,
             "lz4" => Compression::Lz4,
             "zstd" => Compression::Zstd,
             other => return Err(wrong("compression", other, "none, lz4 or zstd")),
         };
+        for (key, value) in &custom_data {
+            check_entry(key, value)
+                .map_err(|expected| wrong("custom_data", format!("{key}={value}"), expected))?;
+        }
         let options = WriterOptions { compression, ..WriterOptions::default() };
-        let inner = eddy_bag::BagWriter::create(&path, options).map_err(raise::<BagError>)?;
+        let mut inner = eddy_bag::BagWriter::create(&path, options).map_err(raise::<BagError>)?;
+        for (key, value) in custom_data {
+            inner.set_custom_data(&key, value);
+        }
         Ok(Self { inner: Mutex::new(Some(inner)) })
     }
 

@@ -6,6 +6,9 @@ import eddy
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from ruamel.yaml import YAML
+
+yaml = YAML(typ="safe")
 
 
 def test_frames_come_back_as_they_were_written(tmp_path: Path) -> None:
@@ -65,6 +68,22 @@ def test_a_closed_writer_and_a_taken_name(tmp_path: Path, block: eddy.Frame) -> 
         eddy.BagWriter(tmp_path / "other", compression="gzip")  # type: ignore[arg-type]
     with pytest.raises(eddy.BagError):
         eddy.Bag(tmp_path / "absent")
+
+
+def test_the_stiffness_of_a_bag(tmp_path: Path, block: eddy.Frame) -> None:
+    path, entries = tmp_path / "bag", {"eddy_stiffness": "1e4", "run": 'seven: "7"\n'}
+    with eddy.BagWriter(path, custom_data=entries) as writer:
+        writer.write_frame(block)
+    assert eddy.Bag(path).custom_data == entries
+    stated = yaml.load(path / "metadata.yaml")["rosbag2_bagfile_information"]["custom_data"]
+    assert stated == entries
+    for key, value, expected in [
+        ("eddy_stiffness", "-1", "a positive number"),
+        ("eddy_topics_not_recorded", "/a", "another key: eddy writes this one"),
+    ]:
+        with pytest.raises(ValueError, match=f"custom_data: found {key}={value}, expected {expected}"):
+            eddy.BagWriter(tmp_path / "other", custom_data={key: value})
+    assert not (tmp_path / "other").exists()
 
 
 def test_streams_are_told_apart(tmp_path: Path, block: eddy.Frame) -> None:

@@ -36,10 +36,9 @@ use std::{collections::BTreeSet, path::Path, thread, time::Duration};
 use anyhow::{Context as _, bail};
 use eddy_bag::{
     QosOverrides,
-    custom_data::{CustomData, LOSSES, STIFFNESS},
+    custom_data::{CustomData, check_entry},
     read_qos_overrides,
 };
-use eddy_evaluation::dataset::parse_stiffness;
 use eddy_frames::clock::Clock;
 use eddy_messages::{Log, Message as _, type_support};
 use eddy_node::{
@@ -79,20 +78,13 @@ pub(crate) fn qos_overrides(file: Option<&Path>) -> anyhow::Result<QosOverrides>
 pub(crate) fn checked_custom_data(given: &[(String, String)]) -> anyhow::Result<CustomData> {
     let mut entries = CustomData::new();
     for (key, value) in given {
-        let expected = if LOSSES.contains(&key.as_str()) {
-            Some("another key: eddy writes this one")
-        } else if key == STIFFNESS && parse_stiffness(value).is_none() {
-            Some("a positive number")
-        } else if entries.contains_key(key) {
-            Some("each key once")
-        } else {
-            None
+        let wrong = |expected| {
+            Usage::new(format!("--custom-data: found {key}={value}, expected {expected}"))
         };
-        if let Some(expected) = expected {
-            let message = format!("--custom-data: found {key}={value}, expected {expected}");
-            return Err(Usage::new(message).into());
+        check_entry(key, value).map_err(wrong)?;
+        if entries.insert(key.clone(), value.clone()).is_some() {
+            return Err(wrong("each key once").into());
         }
-        entries.insert(key.clone(), value.clone());
     }
     Ok(entries)
 }

@@ -6,7 +6,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_bag::{
+    BagReader, BagWriter, WriterOptions,
+    custom_data::{CustomData, STIFFNESS},
+};
 use eddy_exchange::{
     ExchangeError, ExportFormat, FrameSelection, ImportFormat, ImportOverrides, Streams, export,
     import,
@@ -159,11 +162,30 @@ proptest! {
 }
 
 #[test]
+fn imported_bags_state_the_stiffness_that_is_given() {
+    let (folder, bag) = two_streams();
+    let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
+    try_export(&bag, ExportFormat::Gns, &set).unwrap();
+    let custom_data = CustomData::from([(STIFFNESS.to_owned(), "1e4".to_owned())]);
+    let (dt, domain) = (Some(0.016), Some(WIDE));
+    let given = ImportOverrides { dt, domain, material: None, custom_data: custom_data.clone() };
+    try_import(&set, ImportFormat::Gns, given, &out).unwrap();
+    for bag in entries(&out) {
+        assert_eq!(*BagReader::open(&out.join(bag)).unwrap().custom_data(), custom_data);
+    }
+    let set = set.to_str().unwrap();
+    let soft = ["--format", "gns", "--output", "no", "--custom-data", "eddy_stiffness=soft"];
+    let said = fail(2, [&["bag", "import", set], &soft[..]].concat());
+    assert!(said.contains("found eddy_stiffness=soft, expected a positive number"), "{said}");
+}
+
+#[test]
 fn velocities_that_a_file_lacks_are_differences_of_positions() {
     let (folder, bag) = two_streams();
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
-    let given = ImportOverrides { dt: Some(0.5), domain: Some(WIDE), material: None };
+    let given =
+        ImportOverrides { dt: Some(0.5), domain: Some(WIDE), ..ImportOverrides::default() };
     try_import(&set, ImportFormat::Gns, given, &out).unwrap();
     assert_eq!(entries(&out), ["stream_0000", "stream_0001"]);
     for frame in frames_in(&out.join("stream_0001")) {

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use super::{arrays::Array, error::ExchangeError};
+use eddy_bag::custom_data::CustomData;
 use eddy_frames::{Domain, Frame, Material, Stamp};
 
 /// Values that replace those of a file, or that a file does not have.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImportOverrides {
     /// Time between two frames (s).
     pub dt: Option<f32>,
@@ -14,6 +15,8 @@ pub struct ImportOverrides {
     pub domain: Option<Domain>,
     /// Material of all particles.
     pub material: Option<Material>,
+    /// Entries of `custom_data` in the metadata of each bag.
+    pub custom_data: CustomData,
 }
 
 /// Numbers of the materials in a file format, in the order of [`Material::ALL`].

@@ -4,7 +4,7 @@ use super::watch;
 use crate::{
     cli::ImportArgs,
     commands::{
-        Interrupt, counted,
+        Interrupt, checked_custom_data, counted,
         output::{Output, OutputKind},
         progress_bar,
     },
@@ -18,7 +18,8 @@ pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
         [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
         _ => None,
     });
-    let overrides = ImportOverrides { dt: args.dt, domain, material: args.material };
+    let custom_data = checked_custom_data(&args.custom_data)?;
+    let overrides = ImportOverrides { dt: args.dt, domain, material: args.material, custom_data };
     let room =
         Output::at(&args.output, OutputKind::Bags, args.force, std::slice::from_ref(&args.path))?;
     // The number of frames is unknown until the end.

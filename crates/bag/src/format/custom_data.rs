@@ -15,3 +15,22 @@ pub const TOPICS_NOT_RECORDED: &str = "eddy_topics_not_recorded";
 pub const TOPICS_RECORDED_IN_PART: &str = "eddy_topics_recorded_in_part";
 /// What a recording has lost. Copies do not keep it: it need not be true of a part of a bag, or of several bags together.
 pub const LOSSES: [&str; 3] = [MESSAGES_NOT_RECORDED, TOPICS_NOT_RECORDED, TOPICS_RECORDED_IN_PART];
+
+/// Checks an entry that somebody gives a new bag.
+///
+/// # Errors
+/// What was expected instead: another key, if eddy writes this one itself, or a positive number for [`STIFFNESS`].
+pub fn check_entry(key: &str, value: &str) -> Result<(), &'static str> {
+    if LOSSES.contains(&key) {
+        return Err("another key: eddy writes this one");
+    }
+    if key == STIFFNESS && parse_stiffness(value).is_none() {
+        return Err("a positive number");
+    }
+    Ok(())
+}
+
+/// A stiffness (density x velocity^2); `None` unless it is a positive number.
+pub fn parse_stiffness(text: &str) -> Option<f32> {
+    text.parse().ok().filter(|stiffness: &f32| stiffness.is_finite() && *stiffness > 0.0)
+}

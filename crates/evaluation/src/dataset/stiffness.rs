@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use super::{DatasetError, simulate::ScenesBeside};
-use eddy_bag::{BagReader, custom_data::STIFFNESS};
+use eddy_bag::{
+    BagReader,
+    custom_data::{STIFFNESS, parse_stiffness},
+};
 
 /// The stiffness of the streams of bags.
 pub(super) struct Stiffnesses {
@@ -37,11 +40,6 @@ fn stated(bag: &BagReader) -> Result<Option<f32>, DatasetError> {
     let invalid =
         || DatasetError::StatedStiffness { path: bag.path().to_owned(), found: found.clone() };
     parse_stiffness(found).map(Some).ok_or_else(invalid)
-}
-
-/// A stiffness (density x velocity^2); `None` unless it is a positive number.
-pub fn parse_stiffness(text: &str) -> Option<f32> {
-    text.parse().ok().filter(|stiffness: &f32| stiffness.is_finite() && *stiffness > 0.0)
 }
 
 /// The stiffness of the streams of a bag (density x velocity^2), if its metadata says it, otherwise of the first stream of a topic.
