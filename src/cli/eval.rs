@@ -4,15 +4,15 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::ComputeDevice;
+use super::NetworkDevice;
 use eddy_evaluation::DEFAULT_STARTS;
 use eddy_inference::checkpoint::Rule;
 
 /// `eddy eval`
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// Checkpoints to evaluate side by side, with the gain of each model over the first; those that differ only in their
-    /// training count as seeds of one model.
+    /// Checkpoints to evaluate side by side, with the gain of each model over the first; those of one network from trainings with
+    /// different seeds count as seeds of one model.
     #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags.
@@ -67,9 +67,10 @@ pub struct EvalArgs {
     /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the checkpoints run: cpu, cuda for an NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
-    pub device: ComputeDevice,
+    /// Where the checkpoints run: cpu, cpu:bf16 to multiply in bfloat16 on a processor with AVX-512 BF16 (particle models), cuda for an
+    /// NVIDIA GPU, cuda:1 for the second.
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = NetworkDevice::parse)]
+    pub device: NetworkDevice,
 }
 
 /// Name and bag of recorded rollouts.

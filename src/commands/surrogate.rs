@@ -8,14 +8,14 @@ use eddy_inference::{
     engine::{ModelError, Surrogate},
 };
 
-use crate::cli::ComputeDevice;
+use crate::cli::NetworkDevice;
 
 /// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default. On a GPU, the
 /// threads copy frames.
 pub(super) fn load(
     path: Option<&Path>,
     threads: Option<NonZeroUsize>,
-    device: ComputeDevice,
+    device: NetworkDevice,
 ) -> anyhow::Result<Surrogate> {
     let checkpoint = Checkpoint::load_or_shipped(path)?;
     let name = path.map_or("the shipped checkpoint".into(), |path| path.display().to_string());
@@ -26,12 +26,12 @@ pub(super) fn load(
 pub(super) fn on_device(
     checkpoint: &Checkpoint,
     threads: Option<NonZeroUsize>,
-    device: ComputeDevice,
+    device: NetworkDevice,
 ) -> Result<Surrogate, ModelError> {
     match device {
-        ComputeDevice::Cpu => Surrogate::load(checkpoint, threads),
+        NetworkDevice::Cpu(precision) => Surrogate::load_in(checkpoint, threads, precision),
         #[cfg(feature = "cuda")]
-        ComputeDevice::Cuda(number) => {
+        NetworkDevice::Cuda(number) => {
             eddy_learning::model::load_on_gpu(checkpoint, threads, number.into())
         }
     }

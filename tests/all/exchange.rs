@@ -184,8 +184,7 @@ fn velocities_that_a_file_lacks_are_differences_of_positions() {
     let (folder, bag) = two_streams();
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
-    let given =
-        ImportOverrides { dt: Some(0.5), domain: Some(WIDE), ..ImportOverrides::default() };
+    let given = ImportOverrides { dt: Some(0.5), domain: Some(WIDE), ..ImportOverrides::default() };
     try_import(&set, ImportFormat::Gns, given, &out).unwrap();
     assert_eq!(entries(&out), ["stream_0000", "stream_0001"]);
     for frame in frames_in(&out.join("stream_0001")) {

@@ -29,10 +29,11 @@ use super::{
     output::{Output, OutputKind, unused},
     surrogate,
 };
-use crate::cli::{ComputeDevice, DemoArgs};
+use crate::cli::{DemoArgs, NetworkDevice};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::{Settings, dataset, evaluate_model};
 use eddy_frames::{Stamp, clock};
+use eddy_inference::engine::Precision;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
 use eddy_node::{
     FrameQueue, NodeContext, NodeHandle, NodeSettings, OpenClock, Outputs, Pacer, PlayerHandle,
@@ -54,7 +55,8 @@ const SECONDS: f64 = 8.0;
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let folder = args.output.clone().unwrap_or_else(|| unused(Path::new(DEFAULT_OUTPUT)));
     let output = Output::at(&folder, OutputKind::Demo, args.force, &[])?;
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), None, ComputeDevice::Cpu)?;
+    let surrogate =
+        surrogate::load(args.checkpoint.as_deref(), None, NetworkDevice::Cpu(Precision::Single))?;
     let comparison = Comparison::new(surrogate.description());
     let info = PageInfo {
         command: "demo",

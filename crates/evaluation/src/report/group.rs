@@ -1,4 +1,4 @@
-//! Networks that differ only in their training: seeds of one model.
+//! Checkpoints of one network from trainings with different seeds: seeds of one model.
 
 use serde::{Deserialize, Serialize};
 
@@ -60,16 +60,17 @@ impl Group {
         skills: &Skills,
         shown: &[usize],
     ) -> Vec<Self> {
-        let mut groups: Vec<(Description, Vec<usize>)> = Vec::new();
-        for (number, (entry, description)) in predictors.iter().zip(networks).enumerate() {
-            let (Some(description), Role::Model) = (description, entry.role) else { continue };
-            let network = untrained(description);
-            match groups.iter_mut().find(|(other, _)| *other == network) {
-                Some((_, members)) => members.push(number),
-                None => groups.push((network, vec![number])),
-            }
-        }
-        let group = |(network, members): (Description, Vec<usize>)| {
+        let checkpoints = predictors
+            .iter()
+            .zip(networks)
+            .enumerate()
+            .filter(|(_, (entry, _))| entry.role == Role::Model)
+            .filter_map(|(number, (_, description))| Some((number, description.as_ref()?)));
+        let models = by_model(checkpoints.collect());
+        let members: Vec<Vec<usize>> =
+            models.iter().map(|model| model.iter().map(|(number, _)| *number).collect()).collect();
+        let group = |(model, members): (&Models<'_>, &Vec<usize>)| {
+            let (_, network) = model[0];
             let entries: Vec<&Entry> = members.iter().map(|&member| &predictors[member]).collect();
             let mut blow_ups = BlowUps::default();
             entries.iter().for_each(|entry| blow_ups.merge(&entry.blow_ups));
@@ -77,7 +78,7 @@ impl Group {
                 entries.iter().map(|entry| entry.cost.as_ref().map(|cost| cost.p50)).collect();
             let of_kind = |kind: Kind| {
                 let curves = members.iter().map(|&member| skills.of_kind(kind, member)).collect();
-                let intervals = skills.intervals_of_kind(kind, &members, shown);
+                let intervals = skills.intervals_of_kind(kind, members, shown);
                 (kind, GroupSkill::new(curves, intervals))
             };
             let curves = members.iter().map(|&member| skills.mean(member)).collect();
@@ -86,13 +87,12 @@ impl Group {
                 members: entries.iter().map(|entry| entry.name.clone()).collect(),
                 blow_ups,
                 ms: times.map(|times| times.iter().sum::<f64>() / times.len() as f64),
-                skill: GroupSkill::new(curves, skills.intervals(&members, shown)),
+                skill: GroupSkill::new(curves, skills.intervals(members, shown)),
                 kinds: skills.kinds().map(of_kind).collect(),
                 gain: None,
             }
         };
-        let members: Vec<Vec<usize>> = groups.iter().map(|(_, members)| members.clone()).collect();
-        let mut groups: Vec<Self> = groups.into_iter().map(group).collect();
+        let mut groups: Vec<Self> = models.iter().zip(&members).map(group).collect();
         if let Some((first, others)) = groups.split_first_mut() {
             for (group, members_of) in others.iter_mut().zip(&members[1..]) {
                 let pairs = group.skill.skill.iter().zip(&first.skill.skill);
@@ -105,6 +105,33 @@ impl Group {
         distinguish(&mut groups);
         groups
     }
+}
+
+/// Numbers and descriptions of checkpoints.
+type Models<'a> = Vec<(usize, &'a Description)>;
+
+/// The checkpoints by model, in the order of their first ones.
+fn by_model(checkpoints: Models<'_>) -> Vec<Models<'_>> {
+    let mut models: Vec<Models<'_>> = Vec::new();
+    for (number, description) in checkpoints {
+        let is_theirs = |model: &&mut Models<'_>| {
+            model.iter().all(|(_, other)| are_seeds_of_one_model(other, description))
+        };
+        match models.iter_mut().find(is_theirs) {
+            Some(model) => model.push((number, description)),
+            None => models.push(vec![(number, description)]),
+        }
+    }
+    models
+}
+
+/// Whether two checkpoints differ in the seed of their training. A training that goes on from a checkpoint makes another model of
+/// it; a second one with the same seed has other data or settings.
+fn are_seeds_of_one_model(one: &Description, other: &Description) -> bool {
+    let (training, others) = (&one.training, &other.training);
+    untrained(one) == untrained(other)
+        && training.seed != others.seed
+        && training.start.is_some() == others.start.is_some()
 }
 
 /// Adds the names of the checkpoints to the names of models that are called the same.
@@ -145,6 +172,8 @@ fn mean_and_spread(curves: &[Vec<f64>]) -> (Vec<f64>, Vec<f64>) {
 
 #[cfg(test)]
 mod tests {
+    use eddy_inference::checkpoint::{Architecture, Core, Sizes};
+
     use super::*;
 
     #[test]
@@ -166,6 +195,36 @@ mod tests {
         distinguish(&mut groups);
         let names: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
         assert_eq!(names, ["particle mingru (mine)", "frame gru", "particle mingru (c)"]);
+    }
+
+    #[test]
+    fn trainings_of_one_network_with_different_seeds_are_seeds_of_one_model() {
+        let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
+        let trained = |core: Core, seed: u64, start: Option<&str>| {
+            let mut description = Description::untrained(Architecture::Particle, core, sizes);
+            description.data = format!("{seed}");
+            description.training = TrainingSummary {
+                seed,
+                start: start.map(str::to_owned),
+                ..TrainingSummary::default()
+            };
+            description
+        };
+        let checkpoints = [
+            trained(Core::MinGru, 1, None),
+            trained(Core::MinGru, 2, None),
+            trained(Core::MinLstm, 2, None),
+            // Trained further, both from checkpoints of their own.
+            trained(Core::MinGru, 1, Some("a")),
+            trained(Core::MinGru, 2, Some("b")),
+            // Once more with seed 1.
+            trained(Core::MinGru, 1, None),
+            trained(Core::MinGru, 3, None),
+        ];
+        let models = by_model(checkpoints.iter().enumerate().collect());
+        let numbers: Vec<Vec<usize>> =
+            models.iter().map(|model| model.iter().map(|(number, _)| *number).collect()).collect();
+        assert_eq!(numbers, [vec![0, 1, 6], vec![2], vec![3, 4], vec![5]]);
     }
 
     #[test]

@@ -10,7 +10,7 @@
 //!    (Table 1), whose outputs [`Decoded`] turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
-//!    `merged` combines layers that have no activation between them.
+//!    `merged` combines layers that have no activation between them. `pair_grid` has these layers in bfloat16 (`bf16`).
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
@@ -26,6 +26,8 @@
 
 mod accelerator;
 mod ballistic;
+#[cfg(target_arch = "x86_64")]
+mod bf16;
 mod core;
 mod decoded;
 mod encoder;
@@ -36,6 +38,11 @@ mod hidden_state;
 mod linear;
 mod merged;
 mod order;
+#[cfg(target_arch = "x86_64")]
+mod pair_grid;
+#[cfg(not(target_arch = "x86_64"))]
+#[path = "no_pair_grid.rs"]
+mod pair_grid;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
@@ -57,5 +64,5 @@ pub use error::ModelError;
 pub use hidden_state::HiddenState;
 pub use rules::Corrector;
 pub use stepper::{StepRequest, Stepper};
-pub use surrogate::Surrogate;
+pub use surrogate::{Precision, Surrogate};
 pub use warning::Warning;

@@ -77,7 +77,7 @@ impl StepContext<'_> {
         let (block, channels, width) = (self.block(item), model.grid.read_width(), self.width);
         let particles = &self.nodes.order()[block.clone()];
         let (count, length) = (block.len(), model.columns());
-        let field = &self.fields[READ];
+        let field = &self.fields.numbers[READ];
         // SAFETY: no other running item has this thread number, and this stage only reads the other lists.
         let (buffers, columns, ballistic_motion, field) = unsafe {
             (

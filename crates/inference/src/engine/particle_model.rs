@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
+    Precision,
     core::CoreLayer,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
@@ -90,6 +91,7 @@ pub(super) struct LayerBuffers {
 impl ParticleModel {
     pub(super) fn pack(
         arch: Arch,
+        precision: Precision,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
@@ -99,7 +101,7 @@ impl ParticleModel {
         let tensors = &merged(grid, tensors);
         let linear = |layer| SplitLinear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
-        let grid = Grid::pack(lanes, grid, tensors);
+        let grid = Grid::pack(lanes, precision, grid, tensors);
         let rules = RuleSet::new(description);
         Self {
             arch,
@@ -184,7 +186,7 @@ impl ParticleModel {
             rules,
             buffers,
         } = scratch;
-        let grid::Scratch { nodes, fields, columns } = grid;
+        let grid::Scratch { nodes, fields, pairs, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
             position,
@@ -220,7 +222,10 @@ impl ParticleModel {
             features: DisjointSlice::new(features),
             sums: DisjointSlice::new(segment_sums),
             ballistic_motion: DisjointSlice::new(ballistic_motion),
-            fields: fields.each_mut().map(|numbers| DisjointSlice::new(numbers)),
+            fields: Fields {
+                numbers: fields.each_mut().map(|numbers| DisjointSlice::new(numbers)),
+                pairs: pairs.each_mut().map(|pairs| DisjointSlice::new(pairs)),
+            },
             buffers: DisjointSlice::new(buffers),
             hidden: DisjointSlice::new(&mut hidden_state.hidden),
             cell: DisjointSlice::new(&mut hidden_state.cell),

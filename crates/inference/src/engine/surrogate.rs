@@ -39,6 +39,17 @@ const MAX_REACH: f32 = 1.1;
 /// Largest accepted velocity, relative to the largest in training.
 const SPEED_FACTOR: f32 = 2.0;
 
+/// Precision of the factors that a particle model multiplies on the nodes of its grid, which takes most of its time. Their products are
+/// summed in single precision.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Precision {
+    /// 24 significant bits.
+    #[default]
+    Single,
+    /// bfloat16: eight significant bits. The predictions have bits of their own.
+    Bf16,
+}
+
 /// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
 /// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
@@ -103,6 +114,18 @@ impl Surrogate {
         Self::load_for(checkpoint, threads, Arch::new())
     }
 
+    /// As [`Surrogate::load`], with factors of this precision.
+    ///
+    /// # Errors
+    /// As [`Surrogate::load`]; [`ModelError::Precision`] if the network is no particle model or the processor cannot multiply such factors.
+    pub fn load_in(
+        checkpoint: &Checkpoint,
+        threads: Option<NonZeroUsize>,
+        precision: Precision,
+    ) -> Result<Self, ModelError> {
+        Self::packed(checkpoint, threads, Arch::new(), precision)
+    }
+
     /// As [`Surrogate::load`], for a given instruction set of this processor.
     ///
     /// # Errors
@@ -112,13 +135,30 @@ impl Surrogate {
         threads: Option<NonZeroUsize>,
         arch: Arch,
     ) -> Result<Self, ModelError> {
+        Self::packed(checkpoint, threads, arch, Precision::Single)
+    }
+
+    fn packed(
+        checkpoint: &Checkpoint,
+        threads: Option<NonZeroUsize>,
+        arch: Arch,
+        precision: Precision,
+    ) -> Result<Self, ModelError> {
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MAX_THREADS);
         let pack = move |Checkpoint { description, tensors, .. }: &Checkpoint| {
             Ok(match description.architecture {
+                Architecture::Frame if precision == Precision::Bf16 => {
+                    return Err(ModelError::Precision { expected: "a particle model" });
+                }
                 Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
                 Architecture::Particle => {
-                    Network::Particle(ParticleModel::pack(arch, description, tensors))
+                    let model = ParticleModel::pack(arch, precision, description, tensors);
+                    if precision == Precision::Bf16 && !model.grid.is_in_bf16() {
+                        let expected = "a processor with AVX-512 and its extension BF16";
+                        return Err(ModelError::Precision { expected });
+                    }
+                    Network::Particle(model)
                 }
             })
         };

@@ -7,7 +7,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Corrector, HiddenState, ModelError, StepRequest, Surrogate,
+    Corrector, HiddenState, ModelError, Precision, StepRequest, Surrogate,
     scales::{stiffness_feature, velocity_unit},
 };
 use crate::{
@@ -69,6 +69,42 @@ fn wide(core: Core) -> Vec<(Checkpoint, Vec<Frame>)> {
     decoder.flat_map(|(_, weights)| &mut weights.values).for_each(|value| *value *= 1e-3);
     let networks = [frame, both, particle].map(make).into_iter();
     networks.chain([(quiet, bodies(4, 6))]).collect()
+}
+
+#[test]
+fn products_in_bfloat16_are_those_of_single_precision_within_their_rounding() {
+    for (widths, core) in [(vec![16, 24, 20], Core::MinGru), (vec![33, 40, 56, 47], Core::MinLstm)]
+    {
+        let sizes = Sizes { encoder: 17, hidden: 24, layers: 1, particles: None };
+        let mut description = description(Architecture::Particle, core, sizes);
+        description.grid.as_mut().unwrap().channels = widths;
+        let (checkpoint, frames) = (checkpoint(description, 5), frames(4, 301, 6));
+        let load = |number| Surrogate::load_in(&checkpoint, threads(number), Precision::Bf16);
+        let rounded = match load(1) {
+            Ok(surrogate) => predict(&surrogate, &frames),
+            Err(error) => {
+                let expected = "precision: found bf16, expected a processor with AVX-512 and its extension BF16";
+                assert_eq!(error.to_string(), expected);
+                continue;
+            }
+        };
+        assert_eq!(predict(&load(3).unwrap(), &frames), rounded);
+        let exact = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let differences = exact
+            .iter()
+            .zip(&rounded)
+            .map(|(exact, rounded)| largest_difference(&exact.velocity, &rounded.velocity));
+        let difference = differences.fold(0.0, f32::max);
+        assert!(difference > 0.0 && difference < 0.02, "{core:?}: {difference}");
+    }
+}
+
+#[test]
+fn the_frame_model_has_no_products_in_bfloat16() {
+    let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: Some(9) };
+    let frame = checkpoint(description(Architecture::Frame, Core::MinGru, sizes), 5);
+    let error = Surrogate::load_in(&frame, threads(1), Precision::Bf16).err().unwrap();
+    assert_eq!(error.to_string(), "precision: found bf16, expected a particle model");
 }
 
 #[test]
