@@ -234,7 +234,7 @@ class BagWriter:
         path: _Path,
         *,
         compression: Literal["none", "lz4", "zstd"] = "zstd",
-        custom_data: Mapping[str, str] = {},
+        custom_data: Mapping[str, str] | None = None,
     ) -> BagWriter: ...
     def write_frame(
         self, frame: Frame, topic: str = "/particles", *, log_time: int | None = None

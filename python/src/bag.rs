@@ -14,7 +14,7 @@ use eddy_messages::{FrameCdr, Message as _, ParticleFrame, QosProfile, TypeSuppo
 use pyo3::{
     exceptions::PyValueError,
     prelude::*,
-    types::{PyBytes, PyDict, PyString},
+    types::{PyBytes, PyDict, PyMapping, PyString},
 };
 
 use crate::{
@@ -315,14 +315,21 @@ impl BagWriter {
 #[pymethods]
 impl BagWriter {
     #[new]
-    #[pyo3(signature = (path, *, compression="zstd", custom_data=CustomData::new()))]
-    fn new(path: PathBuf, compression: &str, custom_data: CustomData) -> PyResult<Self> {
+    #[pyo3(signature = (path, *, compression="zstd", custom_data=None))]
+    fn new(
+        path: PathBuf,
+        compression: &str,
+        custom_data: Option<&Bound<'_, PyMapping>>,
+    ) -> PyResult<Self> {
         let compression = match compression {
             "none" => Compression::None,
             "lz4" => Compression::Lz4,
             "zstd" => Compression::Zstd,
             other => return Err(wrong("compression", other, "none, lz4 or zstd")),
         };
+        let entries = custom_data.map(|entries| entries.items()).transpose()?;
+        let custom_data: Vec<(String, String)> =
+            entries.map(|entries| entries.extract()).transpose()?.unwrap_or_default();
         for (key, value) in &custom_data {
             check_entry(key, value)
                 .map_err(|expected| wrong("custom_data", format!("{key}={value}"), expected))?;

@@ -43,10 +43,16 @@ files! {
         train_particles(name, &["--from", "checkpoints/particle-mingru"]);
     },
     stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => |name| train_particles(name, &[]),
+    stiff_matter_is_trained_shortly_with_its_settings: "train_stiff_short.toml" => |name| {
+        train_particles(name, &[]);
+    },
     any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => |name| {
         train_particles(name, &[]);
     },
     any_stiffness_is_trained_further_with_its_settings: "train_conditioned_knots.toml" => |name| {
+        train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
+    },
+    any_stiffness_is_trained_on_longer_rollouts_with_its_settings: "train_conditioned_long.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
     },
     the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,

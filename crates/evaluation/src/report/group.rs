@@ -1,4 +1,4 @@
-//! Checkpoints of one network from trainings with different seeds: seeds of one model.
+//! Checkpoints of one network from trainings on the same data with different seeds: seeds of one model.
 
 use serde::{Deserialize, Serialize};
 
@@ -125,11 +125,12 @@ fn by_model(checkpoints: Models<'_>) -> Vec<Models<'_>> {
     models
 }
 
-/// Whether two checkpoints differ in the seed of their training. A training that goes on from a checkpoint makes another model of
-/// it; a second one with the same seed has other data or settings.
+/// Whether two checkpoints of one network are from trainings on the same data with different seeds. A training that goes on from a
+/// checkpoint makes another model of it; a second one with the same seed has other settings.
 fn are_seeds_of_one_model(one: &Description, other: &Description) -> bool {
     let (training, others) = (&one.training, &other.training);
     untrained(one) == untrained(other)
+        && one.data == other.data
         && training.seed != others.seed
         && training.start.is_some() == others.start.is_some()
 }
@@ -199,10 +200,10 @@ mod tests {
 
     #[test]
     fn trainings_of_one_network_with_different_seeds_are_seeds_of_one_model() {
-        let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
-        let trained = |core: Core, seed: u64, start: Option<&str>| {
+        let trained = |data: &str, core: Core, seed: u64, start: Option<&str>| {
+            let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
             let mut description = Description::untrained(Architecture::Particle, core, sizes);
-            description.data = format!("{seed}");
+            description.data = data.to_owned();
             description.training = TrainingSummary {
                 seed,
                 start: start.map(str::to_owned),
@@ -211,20 +212,21 @@ mod tests {
             description
         };
         let checkpoints = [
-            trained(Core::MinGru, 1, None),
-            trained(Core::MinGru, 2, None),
-            trained(Core::MinLstm, 2, None),
+            trained("data", Core::MinGru, 1, None),
+            trained("other", Core::MinGru, 2, None),
+            trained("data", Core::MinGru, 2, None),
+            trained("data", Core::MinLstm, 2, None),
             // Trained further, both from checkpoints of their own.
-            trained(Core::MinGru, 1, Some("a")),
-            trained(Core::MinGru, 2, Some("b")),
+            trained("data", Core::MinGru, 1, Some("a")),
+            trained("data", Core::MinGru, 2, Some("b")),
             // Once more with seed 1.
-            trained(Core::MinGru, 1, None),
-            trained(Core::MinGru, 3, None),
+            trained("data", Core::MinGru, 1, None),
+            trained("data", Core::MinGru, 3, None),
         ];
         let models = by_model(checkpoints.iter().enumerate().collect());
         let numbers: Vec<Vec<usize>> =
             models.iter().map(|model| model.iter().map(|(number, _)| *number).collect()).collect();
-        assert_eq!(numbers, [vec![0, 1, 6], vec![2], vec![3, 4], vec![5]]);
+        assert_eq!(numbers, [vec![0, 2, 7], vec![1], vec![3], vec![4, 5], vec![6]]);
     }
 
     #[test]

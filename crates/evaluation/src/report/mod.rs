@@ -3,7 +3,7 @@
 //! 1. `curves`: errors and skill over the frames ahead.
 //! 2. `measures`: physical measures with units.
 //! 3. `entry`: all results of one predictor.
-//! 4. `group`: networks that differ only in their training: mean, standard deviation, interval.
+//! 4. `group`: checkpoints that are seeds of one model: mean, standard deviation, interval.
 //! 5. `scenes`: errors scene by scene.
 //! 6. `page`, `tables`, `files`: output.
 //! 7. `read`, `compare`: comparison of reports read from files.
@@ -86,7 +86,7 @@ pub struct Report {
     pub complete: usize,
     /// All predictors, in the order of the tables.
     pub predictors: Vec<Entry>,
-    /// Networks that differ only in their training.
+    /// The models, with the checkpoints that are seeds of each.
     pub groups: Vec<Group>,
     /// Errors scene by scene.
     pub scenes: Vec<SceneEntry>,

@@ -55,7 +55,8 @@ struct Panels {
 /// Rows of pairs.
 #[derive(Clone, Copy)]
 pub(super) struct PairRows<'a> {
-    /// `[.., width]`.
+    /// `[.., width]`. The last number of a layer's last pair, if rows have an odd number of inputs, is multiplied by zero, so that it must
+    /// be finite.
     pub(super) pairs: &'a [u32],
     pub(super) width: usize,
     /// Index of the row of zeros that all larger indices stand for.
@@ -140,7 +141,14 @@ impl Bf16 {
         unsafe { apply(self, linear, rows, count, index, sink) }
     }
 
-    /// Rounds numbers to eight pairs.
+    /// Rounds lists of numbers.
+    #[inline(always)]
+    pub(super) fn round_all(self, numbers: &[[f32; LANES]], pairs: &mut [[u32; LANES / 2]]) {
+        // SAFETY: the processor has these instructions.
+        unsafe { round_all(self, numbers, pairs) }
+    }
+
+    /// Rounds numbers to eight pairs. Inlined only into what is compiled with these instructions, as sinks are.
     #[inline(always)]
     pub(super) fn round(self, numbers: f32x16, pairs: &mut [u32; LANES / 2]) {
         // SAFETY: the processor has these instructions; eight pairs are as long as a vector of 256 bits.
@@ -148,6 +156,14 @@ impl Bf16 {
             let rounded = _mm512_cvtneps_pbh(cast(numbers));
             (&raw mut *pairs).cast::<__m256bh>().write_unaligned(rounded);
         }
+    }
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512bf16")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn round_all(simd: Bf16, numbers: &[[f32; LANES]], pairs: &mut [[u32; LANES / 2]]) {
+    for (&numbers, pairs) in numbers.iter().zip(pairs) {
+        simd.round(cast(numbers), pairs);
     }
 }
 
@@ -162,7 +178,7 @@ fn apply<const K: usize>(
     index: impl Fn(usize, usize) -> usize,
     sink: &mut impl PairSink,
 ) {
-    let PairLinear { whole, last, .. } = linear;
+    let PairLinear { whole, last } = linear;
     let mut panel = 0;
     while panel + 1 < whole.count {
         some::<__m512, K, 2>(simd, (whole, panel), panel, rows, count, &index, sink);
@@ -211,9 +227,12 @@ fn block<V: Vector, const K: usize, const G: usize, const R: usize>(
     sink: &mut impl PairSink,
 ) {
     let width = panels.pairs;
-    let mut sums = [[V::load(&panels.bias.get()[panel * V::LANES..]); R]; G];
-    for g in 1..G {
-        sums[g] = [V::load(&panels.bias.get()[(panel + g) * V::LANES..]); R];
+    let bias = |g: usize| &panels.bias.get()[(panel + g) * V::LANES..][..V::LANES];
+    // SAFETY: `apply` runs where the processor has the instructions; panels of biases are as long as a vector and aligned to it.
+    let mut sums = [[unsafe { V::load(bias(0)) }; R]; G];
+    for (g, sums) in sums.iter_mut().enumerate().skip(1) {
+        // SAFETY: as above.
+        *sums = [unsafe { V::load(bias(g)) }; R];
     }
     for k in 0..K {
         let mut inputs = [[].as_slice(); R];
@@ -225,23 +244,28 @@ fn block<V: Vector, const K: usize, const G: usize, const R: usize>(
         }
         if !none {
             let mut weights = [[].as_slice(); G];
-            for g in 0..G {
+            for (g, weights) in weights.iter_mut().enumerate() {
                 let group = ((panel + g) * K + k) * width;
-                weights[g] = &panels.weight.get()[group * V::LANES..][..width * V::LANES];
+                *weights = &panels.weight.get()[group * V::LANES..][..width * V::LANES];
             }
-            sums = add_products(weights, inputs, sums);
+            // SAFETY: `apply` runs where the processor has the instructions; panels of weights are aligned to a vector.
+            sums = unsafe { add_products(weights, inputs, sums) };
         }
     }
     for g in 0..G {
         for (row, &sums) in (first..count).zip(&sums[g]) {
-            sink.put(simd, row, (place + g) * LANES, sums.widened());
+            // SAFETY: `apply` runs where the processor has the instructions.
+            sink.put(simd, row, (place + g) * LANES, unsafe { sums.widened() });
         }
     }
 }
 
 /// Adds to `sums` the products of G panels, each `[pair, lane]`, with R rows of as many pairs.
+///
+/// # Safety
+/// The processor must have the instructions of [`apply`], and panels must be aligned to a vector.
 #[inline(always)]
-fn add_products<V: Vector, const G: usize, const R: usize>(
+unsafe fn add_products<V: Vector, const G: usize, const R: usize>(
     panels: [&[f32]; G],
     rows: [&[u32]; R],
     mut sums: [[V; R]; G],
@@ -250,36 +274,41 @@ fn add_products<V: Vector, const G: usize, const R: usize>(
     assert!(rows.iter().all(|row| row.len() == width));
     assert!(panels.iter().all(|panel| panel.len() == width * V::LANES));
     for pair in 0..width {
-        let mut weights = [V::pairs(panels[0], pair); G];
-        for g in 1..G {
-            weights[g] = V::pairs(panels[g], pair);
-        }
-        for r in 0..R {
-            // SAFETY: `pair` is less than `width`.
-            let numbers = V::splat(unsafe { *rows[r].get_unchecked(pair) });
-            for g in 0..G {
-                sums[g][r] = sums[g][r].add_products(weights[g], numbers);
+        // SAFETY: the caller's promises; `pair` is less than `width`, the number of pairs of all rows and panels.
+        unsafe {
+            let mut weights = [V::pairs(panels[0], pair); G];
+            for g in 1..G {
+                weights[g] = V::pairs(panels[g], pair);
+            }
+            for r in 0..R {
+                let numbers = V::splat(*rows[r].get_unchecked(pair));
+                for g in 0..G {
+                    sums[g][r] = sums[g][r].add_products(weights[g], numbers);
+                }
             }
         }
     }
     sums
 }
 
-/// A vector of sums. Its operations are for [`apply`] only, whose instructions they are compiled with.
+/// A vector of sums.
+///
+/// # Safety
+/// The processor must have the instructions of [`apply`]: this holds for all operations.
 trait Vector: Copy {
     /// As many pairs as sums.
     type Pairs: Copy;
     const LANES: usize;
 
-    /// The first numbers of an aligned list.
-    fn load(numbers: &[f32]) -> Self;
-    /// Group number `group` of a packed list, which must have it.
-    fn pairs(list: &[f32], group: usize) -> Self::Pairs;
-    fn splat(pair: u32) -> Self::Pairs;
+    /// Loads a list of as many numbers, which must be aligned to the vector.
+    unsafe fn load(numbers: &[f32]) -> Self;
+    /// Group number `group` of a packed list, which must have it and be aligned to the vector.
+    unsafe fn pairs(list: &[f32], group: usize) -> Self::Pairs;
+    unsafe fn splat(pair: u32) -> Self::Pairs;
     /// Adds the two products of each pair to its sum.
-    fn add_products(self, a: Self::Pairs, b: Self::Pairs) -> Self;
+    unsafe fn add_products(self, a: Self::Pairs, b: Self::Pairs) -> Self;
     /// With zeros.
-    fn widened(self) -> f32x16;
+    unsafe fn widened(self) -> f32x16;
 }
 
 impl Vector for __m512 {
@@ -287,15 +316,14 @@ impl Vector for __m512 {
     const LANES: usize = LANES;
 
     #[inline(always)]
-    fn load(numbers: &[f32]) -> Self {
-        // SAFETY: `apply` runs where the processor has the instruction; sixteen numbers, panels are aligned to a cache line.
-        unsafe { _mm512_load_ps(numbers[..Self::LANES].as_ptr()) }
+    unsafe fn load(numbers: &[f32]) -> Self {
+        // SAFETY: the caller's promises.
+        unsafe { _mm512_load_ps(numbers.as_ptr()) }
     }
 
     #[inline(always)]
-    fn pairs(list: &[f32], group: usize) -> __m512bh {
-        debug_assert!((group + 1) * Self::LANES <= list.len());
-        // SAFETY: as above; the caller's group is in the list.
+    unsafe fn pairs(list: &[f32], group: usize) -> __m512bh {
+        // SAFETY: the caller's promises; pairs are bits.
         unsafe {
             let group = list.as_ptr().add(group * Self::LANES).cast::<__m512i>();
             transmute::<__m512i, __m512bh>(_mm512_load_si512(group))
@@ -303,19 +331,19 @@ impl Vector for __m512 {
     }
 
     #[inline(always)]
-    fn splat(pair: u32) -> __m512bh {
-        // SAFETY: the processor has the instruction, as above.
+    unsafe fn splat(pair: u32) -> __m512bh {
+        // SAFETY: as above.
         unsafe { transmute::<__m512i, __m512bh>(_mm512_set1_epi32(pair.cast_signed())) }
     }
 
     #[inline(always)]
-    fn add_products(self, a: __m512bh, b: __m512bh) -> Self {
-        // SAFETY: the processor has the instruction, as above.
+    unsafe fn add_products(self, a: __m512bh, b: __m512bh) -> Self {
+        // SAFETY: the caller's promise.
         unsafe { _mm512_dpbf16_ps(self, a, b) }
     }
 
     #[inline(always)]
-    fn widened(self) -> f32x16 {
+    unsafe fn widened(self) -> f32x16 {
         cast(self)
     }
 }
@@ -325,15 +353,14 @@ impl Vector for __m256 {
     const LANES: usize = LANES / 2;
 
     #[inline(always)]
-    fn load(numbers: &[f32]) -> Self {
-        // SAFETY: as for 512 bits; eight numbers.
-        unsafe { _mm256_load_ps(numbers[..Self::LANES].as_ptr()) }
+    unsafe fn load(numbers: &[f32]) -> Self {
+        // SAFETY: the caller's promises.
+        unsafe { _mm256_load_ps(numbers.as_ptr()) }
     }
 
     #[inline(always)]
-    fn pairs(list: &[f32], group: usize) -> __m256bh {
-        debug_assert!((group + 1) * Self::LANES <= list.len());
-        // SAFETY: as for 512 bits.
+    unsafe fn pairs(list: &[f32], group: usize) -> __m256bh {
+        // SAFETY: the caller's promises; pairs are bits.
         unsafe {
             let group = list.as_ptr().add(group * Self::LANES).cast::<__m256i>();
             transmute::<__m256i, __m256bh>(_mm256_load_si256(group))
@@ -341,20 +368,20 @@ impl Vector for __m256 {
     }
 
     #[inline(always)]
-    fn splat(pair: u32) -> __m256bh {
-        // SAFETY: as for 512 bits.
+    unsafe fn splat(pair: u32) -> __m256bh {
+        // SAFETY: as above.
         unsafe { transmute::<__m256i, __m256bh>(_mm256_set1_epi32(pair.cast_signed())) }
     }
 
     #[inline(always)]
-    fn add_products(self, a: __m256bh, b: __m256bh) -> Self {
-        // SAFETY: as for 512 bits.
+    unsafe fn add_products(self, a: __m256bh, b: __m256bh) -> Self {
+        // SAFETY: the caller's promise.
         unsafe { _mm256_dpbf16_ps(self, a, b) }
     }
 
     #[inline(always)]
-    fn widened(self) -> f32x16 {
-        // SAFETY: as for 512 bits.
+    unsafe fn widened(self) -> f32x16 {
+        // SAFETY: the caller's promise.
         cast(unsafe { _mm512_zextps256_ps512(self) })
     }
 }
@@ -381,7 +408,7 @@ mod tests {
         prop::collection::vec(-3.0f32..3.0, rows * columns)
     }
 
-    /// Sizes, weight, bias, rows, and the rows that each row of inputs consists of; the last row's index is missing.
+    /// Sizes, weight, bias, rows, and the rows that each row of inputs consists of; the number of rows stands for a missing one.
     fn layers() -> impl Strategy<Value = ([usize; 2], [Vec<f32>; 3], Vec<[usize; PLACES]>)> {
         (1..40usize, 1..70usize, 1..9usize, 1..40usize).prop_flat_map(
             |(input, output, rows, count)| {
@@ -398,14 +425,17 @@ mod tests {
         fn layers_are_sums_of_products_of_rounded_factors(
             ([input, output], [weight, bias, rows], table) in layers(),
         ) {
-            let Some(simd) = Bf16::new() else { return Ok(()) };
+            let Some(simd) = Bf16::new() else {
+                prop_assert!(!is_x86_feature_detected!("avx512bf16"));
+                return Ok(());
+            };
             let round = |number: f32| f64::from(bf16::from_f32(number).to_f32());
             let zero = rows.len() / input;
             let width = input.next_multiple_of(LANES);
             let mut pairs = vec![0; (zero + 1) * width / 2];
             for (row, pairs) in rows.chunks(input).zip(pairs.chunks_mut(width / 2)) {
                 let mut padded = row.to_vec();
-                padded.resize(width, 0.0);
+                padded.resize(width, 3.0);
                 for (numbers, pairs) in padded.as_chunks().0.iter().zip(pairs.as_chunks_mut().0) {
                     simd.round(cast::<[f32; LANES], _>(*numbers), pairs);
                 }

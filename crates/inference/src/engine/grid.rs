@@ -78,6 +78,10 @@ pub(super) struct Fields<'a> {
 }
 
 /// What a layer reads and writes for a block of nodes.
+#[cfg_attr(
+    not(target_arch = "x86_64"),
+    expect(dead_code, reason = "only layers in bfloat16 read it")
+)]
 pub(super) struct Block<'a> {
     pub(super) plan: &'a GridLayer,
     /// The level of the nodes that it is computed for.

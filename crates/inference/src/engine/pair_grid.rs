@@ -35,7 +35,7 @@ enum Layer {
     Neighbours(PairLinear<9>),
     Children(PairLinear<4>),
     /// One matrix per child.
-    Parent([PairLinear<1>; 4]),
+    Parent(Box<[PairLinear<1>; 4]>),
 }
 
 impl PairGrid {
@@ -49,7 +49,8 @@ impl PairGrid {
             Stencil::Neighbours => Layer::Neighbours(PairLinear::pack(weight, bias)),
             Stencil::Children => Layer::Children(PairLinear::pack(weight, bias)),
             Stencil::Parent => {
-                Layer::Parent(children(weight, bias).map(|own| PairLinear::pack(&own, bias)))
+                let children = children(weight, bias).map(|own| PairLinear::pack(&own, bias));
+                Layer::Parent(Box::new(children))
             }
         };
         let simd = Bf16::new().filter(|_| lanes == LANES);
@@ -59,11 +60,7 @@ impl PairGrid {
     /// Rounds rows.
     #[inline(always)]
     pub(super) fn round(&self, rows: &[f32], pairs: &mut [u32]) {
-        let simd = self.simd.without_pairs();
-        let ((rows, _), (pairs, _)) = (rows.as_chunks::<LANES>(), pairs.as_chunks_mut::<PAIRS>());
-        for (numbers, pairs) in rows.iter().zip(pairs) {
-            self.simd.round(load(simd, numbers), pairs);
-        }
+        self.simd.round_all(rows.as_chunks().0, pairs.as_chunks_mut().0);
     }
 
     /// A layer on a block of nodes.

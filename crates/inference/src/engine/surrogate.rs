@@ -46,13 +46,14 @@ pub enum Precision {
     /// 24 significant bits.
     #[default]
     Single,
-    /// bfloat16: eight significant bits. The predictions have bits of their own.
+    /// bfloat16: eight significant bits, on processors with AVX-512 BF16, which was run on AMD's Zen 4. Predictions differ from those in
+    /// single precision; they are the same with any number of threads.
     Bf16,
 }
 
 /// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
-/// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
+/// In single precision, the same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
 /// and on all processors that have AVX2 with FMA or AVX-512; a device has bits of its own. Other instruction sets round some products differently in
 /// the last place.
 ///
