@@ -106,14 +106,14 @@ fn products_in_bfloat16_are_those_of_single_precision_within_their_rounding() {
             pairs.map(|(a, b)| largest_difference(&a.velocity, &b.velocity)).collect()
         };
         let found = differences(single(&checkpoint));
-        assert!(found.iter().all(|difference| *difference < 0.01), "{found:?}");
-        // With the matrices of two children exchanged, predictions differ by far more.
-        let mut exchanged = checkpoint.clone();
-        let weights = &mut exchanged.tensors.get_mut("grid.0.up.weight").unwrap().values;
+        assert!(found.iter().all(|difference| *difference < 2e-3), "{found:?}");
+        // With the matrices of the children in another order, predictions differ by far more.
+        let mut other = checkpoint.clone();
+        let weights = &mut other.tensors.get_mut("grid.0.up.weight").unwrap().values;
         let quarter = weights.len() / 4;
         weights.rotate_left(quarter);
-        let wrong = differences(single(&exchanged));
-        assert!(wrong.iter().any(|difference| *difference > 0.05), "{found:?}, {wrong:?}");
+        let wrong = differences(single(&other));
+        assert!(wrong.iter().all(|difference| *difference > 5e-3), "{found:?}, {wrong:?}");
     }
 }
 
