@@ -28,8 +28,9 @@ impl Report {
         section.heading("Seeds and intervals").table(&table);
         section.paragraph(
             "Checkpoints of one network from trainings on the same data with different seeds are seeds of one model. \
-             Deviations are sample standard deviations over seeds. Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of the scenes, \
-             the same for all seeds and for both sides of a gain. With fewer than five scenes of a kind there is none.",
+             Deviations are sample standard deviations over seeds. Intervals are 95 % percentile bootstrap intervals: \
+             1,000 resamples of the scenes, the same for all seeds and for both sides of a gain. With fewer than five \
+             scenes of a kind there is none.",
         );
     }
 
