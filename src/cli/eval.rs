@@ -12,7 +12,7 @@ use eddy_inference::checkpoint::Rule;
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Checkpoints to evaluate side by side, with the gain of each model over the first; those of one network from trainings on
-    /// the same data with different seeds, all from the beginning or all continued, count as seeds of one model.
+    /// the same data with different seeds, all or none of them with --from, count as seeds of one model.
     #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags.
