@@ -336,9 +336,7 @@ impl BagWriter {
         }
         let options = WriterOptions { compression, ..WriterOptions::default() };
         let mut inner = eddy_bag::BagWriter::create(&path, options).map_err(raise::<BagError>)?;
-        for (key, value) in custom_data {
-            inner.set_custom_data(&key, value);
-        }
+        inner.extend_custom_data(custom_data);
         Ok(Self { inner: Mutex::new(Some(inner)) })
     }
 

@@ -76,10 +76,9 @@ pub fn run(
     let options = WriterOptions { compression, split, ..WriterOptions::default() };
     let place = args.output.clone().unwrap_or_else(default_output);
     let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;
-    let mut recorder = Recorder::new(BagWriter::create(&place, options)?, clock::wall());
-    for (key, value) in custom_data {
-        recorder.set_custom_data(&key, value);
-    }
+    let mut bag = BagWriter::create(&place, options)?;
+    bag.extend_custom_data(custom_data);
+    let mut recorder = Recorder::new(bag, clock::wall());
     let clock = Clock::start();
     let line = live_line(quiet);
     let output = place.display();

@@ -59,9 +59,7 @@ pub(crate) fn copy<'c>(
     }
     custom_data.retain(|key, _| !LOSSES.contains(&key.as_str()));
     custom_data.extend(options.custom_data);
-    for (key, value) in custom_data {
-        bag.writer.set_custom_data(&key, value);
-    }
+    bag.writer.extend_custom_data(custom_data);
     let mut written = Written::default();
     for record in auxiliary {
         let record = record?;

@@ -95,6 +95,11 @@ impl BagWriter {
         &self.topics
     }
 
+    /// Sets entries of `custom_data` in `metadata.yaml`.
+    pub fn extend_custom_data(&mut self, entries: impl IntoIterator<Item = (String, String)>) {
+        self.custom_data.extend(entries);
+    }
+
     /// Sets an entry of `custom_data` in `metadata.yaml`.
     pub fn set_custom_data(&mut self, key: &str, value: String) {
         self.custom_data.insert(key.to_owned(), value);

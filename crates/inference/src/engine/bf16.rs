@@ -10,12 +10,10 @@
 
 use std::{
     arch::x86_64::{
-        __m256, __m256bh, __m256i, __m512, __m512bh, __m512i, _mm256_dpbf16_ps, _mm256_load_ps,
-        _mm256_load_si256, _mm256_set1_epi32, _mm512_cvtneps_pbh, _mm512_dpbf16_ps, _mm512_load_ps,
-        _mm512_load_si512, _mm512_set1_epi32, _mm512_zextps256_ps512,
+        __m256bh, __m512, __m512bh, __m512i, _mm512_cvtneps_pbh, _mm512_dpbf16_ps, _mm512_load_ps,
+        _mm512_load_si512, _mm512_set1_epi32,
     },
     mem::transmute,
-    ops::Range,
 };
 
 use half::bf16;
@@ -24,29 +22,20 @@ use pulp::{cast, f32x16, x86::V4};
 use super::linear::Aligned;
 use crate::checkpoint::Weights;
 
-/// Numbers in a vector of 512 bits.
+/// Numbers in a vector.
 pub(super) const LANES: usize = 16;
 
 /// The instruction set: that of [`V4`], and products of pairs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bf16(V4);
 
-/// A linear layer whose inputs are K concatenated rows.
+/// A linear layer whose inputs are K concatenated rows, packed in panels of sixteen outputs.
 #[derive(Debug)]
 pub(super) struct PairLinear<const K: usize> {
-    whole: Panels,
-    /// The last outputs if they fill at most half a vector, in vectors of 256 bits
-    /// (why: [`SplitLinear`](super::linear::SplitLinear)).
-    last: Option<Panels>,
-}
-
-/// Outputs in panels as wide as a vector.
-#[derive(Debug)]
-struct Panels {
-    count: usize,
+    panels: usize,
     /// Pairs of a row; the last one of an odd row has a zero.
     pairs: usize,
-    /// `[panel, K, pair, lane]`: the bits of pairs.
+    /// `[panel, K, pair, lane]`: the bits of pairs; zero in unused lanes of the last panel.
     weight: Aligned,
     /// `[panel, lane]`.
     bias: Aligned,
@@ -72,41 +61,22 @@ pub(super) trait PairSink {
 impl<const K: usize> PairLinear<K> {
     /// Packs a checkpoint's weight, `[output, K * input]`, and bias, `[output]`.
     pub(super) fn pack(weight: &Weights, bias: &Weights) -> Self {
-        let output = bias.values.len();
-        let half = (1..=LANES / 2).contains(&(output % LANES));
-        let before = if half { output - output % LANES } else { output };
-        Self {
-            whole: Panels::pack::<K>(LANES, weight, bias, 0..before),
-            last: half.then(|| Panels::pack::<K>(LANES / 2, weight, bias, before..output)),
-        }
-    }
-}
-
-impl Panels {
-    /// Packs some of a layer's outputs.
-    fn pack<const K: usize>(
-        lanes: usize,
-        weight: &Weights,
-        bias: &Weights,
-        outputs: Range<usize>,
-    ) -> Self {
-        let (input, count) = (weight.shape[1] / K, outputs.len().div_ceil(lanes));
-        let pairs = input.div_ceil(2);
-        let mut packed = Aligned::zeros(count * K * pairs * lanes);
-        let mut packed_bias = Aligned::zeros(count * lanes);
-        packed_bias.get_mut()[..outputs.len()].copy_from_slice(&bias.values[outputs.clone()]);
-        for (row, output) in outputs.enumerate() {
-            let weights = &weight.values[output * K * input..(output + 1) * K * input];
+        let (input, output) = (weight.shape[1] / K, bias.values.len());
+        let (panels, pairs) = (output.div_ceil(LANES), input.div_ceil(2));
+        let mut packed = Aligned::zeros(panels * K * pairs * LANES);
+        let mut packed_bias = Aligned::zeros(panels * LANES);
+        packed_bias.get_mut()[..output].copy_from_slice(&bias.values);
+        for (row, weights) in weight.values.chunks_exact(K * input).enumerate() {
             for (place, weights) in weights.chunks_exact(input).enumerate() {
                 for (pair, weights) in weights.chunks(2).enumerate() {
                     let second = weights.get(1).map_or(0, |&weight| rounded(weight));
-                    let group = (row / lanes * K + place) * pairs + pair;
-                    packed.get_mut()[group * lanes + row % lanes] =
+                    let group = (row / LANES * K + place) * pairs + pair;
+                    packed.get_mut()[group * LANES + row % LANES] =
                         f32::from_bits(rounded(weights[0]) | second << 16);
                 }
             }
         }
-        Self { count, pairs, weight: packed, bias: packed_bias }
+        Self { panels, pairs, weight: packed, bias: packed_bias }
     }
 }
 
@@ -179,62 +149,52 @@ fn apply<const K: usize>(
     index: impl Fn(usize, usize) -> usize,
     sink: &mut impl PairSink,
 ) {
-    let PairLinear { whole, last } = linear;
     let mut panel = 0;
-    while panel + 1 < whole.count {
-        apply_panels::<__m512, K, 2>(simd, (whole, panel), panel, rows, count, &index, sink);
-        panel += 2;
-    }
-    if panel < whole.count {
-        apply_panels::<__m512, K, 1>(simd, (whole, panel), panel, rows, count, &index, sink);
-    }
-    if let Some(last) = last {
-        apply_panels::<__m256, K, 1>(simd, (last, 0), whole.count, rows, count, &index, sink);
-    }
-}
-
-/// G panels of all rows, from a panel on that is number `place` of output rows. Blocks of twelve rows, whose sums fill the registers, then of
-/// four.
-#[inline(always)]
-fn apply_panels<V: Vector, const K: usize, const G: usize>(
-    simd: Bf16,
-    panels: (&Panels, usize),
-    place: usize,
-    rows: PairRows<'_>,
-    count: usize,
-    index: &impl Fn(usize, usize) -> usize,
-    sink: &mut impl PairSink,
-) {
-    let mut first = 0;
-    while first < count {
-        if count - first >= 12 {
-            block::<V, K, G, 12>(simd, panels, place, rows, (first, count), index, sink);
-            first += 12;
-        } else {
-            block::<V, K, G, 4>(simd, panels, place, rows, (first, count), index, sink);
-            first += 4;
+    while panel < linear.panels {
+        let two = panel + 1 < linear.panels;
+        let mut first = 0;
+        while first < count {
+            let (many, block) = (count - first >= 12, (first, count));
+            match (two, many) {
+                (true, true) => {
+                    apply_block::<K, 2, 12>(simd, linear, panel, rows, block, &index, sink);
+                }
+                (true, false) => {
+                    apply_block::<K, 2, 4>(simd, linear, panel, rows, block, &index, sink);
+                }
+                (false, true) => {
+                    apply_block::<K, 1, 12>(simd, linear, panel, rows, block, &index, sink);
+                }
+                (false, false) => {
+                    apply_block::<K, 1, 4>(simd, linear, panel, rows, block, &index, sink);
+                }
+            }
+            first += if many { 12 } else { 4 };
         }
+        panel += if two { 2 } else { 1 };
     }
 }
 
 /// G panels of R rows from `first` on; beyond `count` rows, the last one is repeated.
 #[inline(always)]
-fn block<V: Vector, const K: usize, const G: usize, const R: usize>(
+fn apply_block<const K: usize, const G: usize, const R: usize>(
     simd: Bf16,
-    (panels, panel): (&Panels, usize),
-    place: usize,
+    linear: &PairLinear<K>,
+    panel: usize,
     rows: PairRows<'_>,
     (first, count): (usize, usize),
     index: &impl Fn(usize, usize) -> usize,
     sink: &mut impl PairSink,
 ) {
-    let width = panels.pairs;
-    let bias = |g: usize| &panels.bias.get()[(panel + g) * V::LANES..][..V::LANES];
-    // SAFETY: `apply` runs where the processor has the instructions; panels of biases are as long as a vector and aligned to it.
-    let mut sums = [[unsafe { V::load(bias(0)) }; R]; G];
+    let width = linear.pairs;
+    let bias = |g: usize| {
+        let bias = &linear.bias.get()[(panel + g) * LANES..][..LANES];
+        // SAFETY: `apply` runs where the processor has the instruction; panels of biases are as long as a vector and aligned to it.
+        unsafe { _mm512_load_ps(bias.as_ptr()) }
+    };
+    let mut sums = [[bias(0); R]; G];
     for (g, sums) in sums.iter_mut().enumerate().skip(1) {
-        // SAFETY: as above.
-        *sums = [unsafe { V::load(bias(g)) }; R];
+        *sums = [bias(g); R];
     }
     for k in 0..K {
         let mut inputs = [[].as_slice(); R];
@@ -248,7 +208,7 @@ fn block<V: Vector, const K: usize, const G: usize, const R: usize>(
             let mut weights = [[].as_slice(); G];
             for (g, weights) in weights.iter_mut().enumerate() {
                 let group = ((panel + g) * K + k) * width;
-                *weights = &panels.weight.get()[group * V::LANES..][..width * V::LANES];
+                *weights = &linear.weight.get()[group * LANES..][..width * LANES];
             }
             // SAFETY: `apply` runs where the processor has the instructions; panels of weights are aligned to a vector.
             sums = unsafe { add_products(weights, inputs, sums) };
@@ -256,137 +216,41 @@ fn block<V: Vector, const K: usize, const G: usize, const R: usize>(
     }
     for g in 0..G {
         for (row, &sums) in (first..count).zip(&sums[g]) {
-            // SAFETY: `apply` runs where the processor has the instructions.
-            sink.put(simd, row, (place + g) * LANES, unsafe { sums.widened() });
+            sink.put(simd, row, (panel + g) * LANES, cast(sums));
         }
     }
 }
 
 /// Adds to `sums` the products of G panels, each `[pair, lane]`, with R rows of as many pairs. A function that returns the sums: they are
-/// kept in registers, while a loop in [`block`] stored each of them after every product.
+/// kept in registers, while a loop in [`apply_block`] stored each of them after every product.
 ///
 /// # Safety
 /// The processor must have the instructions of [`apply`], and panels must be aligned to a vector.
 #[inline(always)]
-unsafe fn add_products<V: Vector, const G: usize, const R: usize>(
+unsafe fn add_products<const G: usize, const R: usize>(
     panels: [&[f32]; G],
     rows: [&[u32]; R],
-    mut sums: [[V; R]; G],
-) -> [[V; R]; G] {
+    mut sums: [[__m512; R]; G],
+) -> [[__m512; R]; G] {
     let width = rows[0].len();
     assert!(rows.iter().all(|row| row.len() == width));
-    assert!(panels.iter().all(|panel| panel.len() == width * V::LANES));
+    assert!(panels.iter().all(|panel| panel.len() == width * LANES));
     for pair in 0..width {
         // SAFETY: the caller's promises; `pair` is less than `width`, the number of pairs of all rows and panels.
         unsafe {
-            let mut weights = [V::pairs(panels[0], pair); G];
-            for g in 1..G {
-                weights[g] = V::pairs(panels[g], pair);
-            }
+            let weights = panels
+                .map(|panel| _mm512_load_si512(panel.as_ptr().add(pair * LANES).cast::<__m512i>()));
             for r in 0..R {
-                let numbers = V::splat(*rows[r].get_unchecked(pair));
+                let numbers = _mm512_set1_epi32(rows[r].get_unchecked(pair).cast_signed());
+                let numbers = transmute::<__m512i, __m512bh>(numbers);
                 for g in 0..G {
-                    sums[g][r] = sums[g][r].add_products(weights[g], numbers);
+                    let weights = transmute::<__m512i, __m512bh>(weights[g]);
+                    sums[g][r] = _mm512_dpbf16_ps(sums[g][r], weights, numbers);
                 }
             }
         }
     }
     sums
-}
-
-/// A vector of sums.
-///
-/// # Safety
-/// The processor must have the instructions of [`apply`]: this holds for all operations.
-trait Vector: Copy {
-    /// As many pairs as sums.
-    type Pairs: Copy;
-    const LANES: usize;
-
-    /// Loads a list of as many numbers, which must be aligned to the vector.
-    unsafe fn load(numbers: &[f32]) -> Self;
-    /// Group number `group` of a packed list, which must have it and be aligned to the vector.
-    unsafe fn pairs(list: &[f32], group: usize) -> Self::Pairs;
-    unsafe fn splat(pair: u32) -> Self::Pairs;
-    /// Adds the two products of each pair to its sum.
-    unsafe fn add_products(self, a: Self::Pairs, b: Self::Pairs) -> Self;
-    /// With zeros.
-    unsafe fn widened(self) -> f32x16;
-}
-
-impl Vector for __m512 {
-    type Pairs = __m512bh;
-    const LANES: usize = LANES;
-
-    #[inline(always)]
-    unsafe fn load(numbers: &[f32]) -> Self {
-        // SAFETY: the caller's promises.
-        unsafe { _mm512_load_ps(numbers.as_ptr()) }
-    }
-
-    #[inline(always)]
-    unsafe fn pairs(list: &[f32], group: usize) -> __m512bh {
-        // SAFETY: the caller's promises; pairs are bits.
-        unsafe {
-            let group = list.as_ptr().add(group * Self::LANES).cast::<__m512i>();
-            transmute::<__m512i, __m512bh>(_mm512_load_si512(group))
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn splat(pair: u32) -> __m512bh {
-        // SAFETY: as above.
-        unsafe { transmute::<__m512i, __m512bh>(_mm512_set1_epi32(pair.cast_signed())) }
-    }
-
-    #[inline(always)]
-    unsafe fn add_products(self, a: __m512bh, b: __m512bh) -> Self {
-        // SAFETY: the caller's promise.
-        unsafe { _mm512_dpbf16_ps(self, a, b) }
-    }
-
-    #[inline(always)]
-    unsafe fn widened(self) -> f32x16 {
-        cast(self)
-    }
-}
-
-impl Vector for __m256 {
-    type Pairs = __m256bh;
-    const LANES: usize = LANES / 2;
-
-    #[inline(always)]
-    unsafe fn load(numbers: &[f32]) -> Self {
-        // SAFETY: the caller's promises.
-        unsafe { _mm256_load_ps(numbers.as_ptr()) }
-    }
-
-    #[inline(always)]
-    unsafe fn pairs(list: &[f32], group: usize) -> __m256bh {
-        // SAFETY: the caller's promises; pairs are bits.
-        unsafe {
-            let group = list.as_ptr().add(group * Self::LANES).cast::<__m256i>();
-            transmute::<__m256i, __m256bh>(_mm256_load_si256(group))
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn splat(pair: u32) -> __m256bh {
-        // SAFETY: as above.
-        unsafe { transmute::<__m256i, __m256bh>(_mm256_set1_epi32(pair.cast_signed())) }
-    }
-
-    #[inline(always)]
-    unsafe fn add_products(self, a: __m256bh, b: __m256bh) -> Self {
-        // SAFETY: the caller's promise.
-        unsafe { _mm256_dpbf16_ps(self, a, b) }
-    }
-
-    #[inline(always)]
-    unsafe fn widened(self) -> f32x16 {
-        // SAFETY: the caller's promise.
-        cast(unsafe { _mm512_zextps256_ps512(self) })
-    }
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ struct Layer {
     plan: GridLayer,
     /// The list that is added, of a layer that reads parents.
     skip: Option<usize>,
-    /// One matrix, or one per child.
+    /// One matrix, or one per child; none if the layers in bfloat16 are used.
     linears: Vec<SplitLinear>,
 }
 
@@ -107,17 +107,6 @@ impl Grid {
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
         let tensors = |layer: &GridLayer| layout::names(&layer.name).map(|name| &tensors[&name]);
-        let linears = |layer: &GridLayer| {
-            let [weight, bias] = tensors(layer);
-            match layer.stencil {
-                Stencil::Neighbours | Stencil::Children => {
-                    vec![SplitLinear::pack(lanes, weight, bias)]
-                }
-                Stencil::Parent => {
-                    children(weight, bias).map(|own| SplitLinear::pack(lanes, &own, bias)).into()
-                }
-            }
-        };
         let plans = grid_layers(grid);
         let pairs = match precision {
             Precision::Single => None,
@@ -125,20 +114,35 @@ impl Grid {
                 PairGrid::pack(lanes, plans.iter().map(|plan| (plan, tensors(plan))))
             }
         };
+        let linears = |layer: &GridLayer| {
+            let [weight, bias] = tensors(layer);
+            match layer.stencil {
+                _ if pairs.is_some() => vec![],
+                Stencil::Neighbours | Stencil::Children => {
+                    vec![SplitLinear::pack(lanes, weight, bias)]
+                }
+                Stencil::Parent => {
+                    by_child(weight, bias).map(|own| SplitLinear::pack(lanes, &own, bias)).into()
+                }
+            }
+        };
         let pack = |layer: &GridLayer| Layer {
             plan: layer.clone(),
             skip: layer.skip.map(|layer| plans[layer].lists[1]),
             linears: linears(layer),
         };
-        let layers: Vec<_> = plans.iter().map(pack).collect();
+        let layers = plans.iter().map(pack).collect();
         // Both lists of a level are as wide as its widest layer.
         let mut widest = vec![0; grid.channels.len()];
-        for Layer { plan, linears, .. } in &layers {
-            widest[plan.level] = linears[0].stride().max(widest[plan.level]);
+        for plan in &plans {
+            let [_, bias] = tensors(plan);
+            let stride = bias.values.len().next_multiple_of(lanes);
+            widest[plan.level] = stride.max(widest[plan.level]);
         }
         let mut lists: Vec<_> =
             grid_lists(grid).into_iter().map(|(level, _)| (level, widest[level])).collect();
-        let inputs = layers[0].linears[0].input() / Stencil::Neighbours.places();
+        let [weight, _] = tensors(&plans[0]);
+        let inputs = weight.shape[1] / Stencil::Neighbours.places();
         lists[WRITTEN].1 = inputs.next_multiple_of(lanes);
         Self {
             layers,
@@ -295,7 +299,7 @@ impl Grid {
 }
 
 /// The matrix of each child, of a layer that reads parents; all share the bias.
-pub(super) fn children(weight: &Weights, bias: &Weights) -> [Weights; 4] {
+pub(super) fn by_child(weight: &Weights, bias: &Weights) -> [Weights; 4] {
     let shape = [bias.values.len(), weight.shape[1]];
     let length = shape[0] * shape[1];
     [0, 1, 2, 3].map(|child| Weights {

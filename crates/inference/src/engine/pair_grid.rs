@@ -8,7 +8,7 @@ use pulp::{Simd as _, f32x16};
 
 use super::{
     bf16::{Bf16, LANES, PairLinear, PairRows, PairSink},
-    grid::{Block, Fields, children},
+    grid::{Block, Fields, by_child},
     linear::{load, store},
 };
 use crate::{
@@ -49,8 +49,8 @@ impl PairGrid {
             Stencil::Neighbours => Layer::Neighbours(PairLinear::pack(weight, bias)),
             Stencil::Children => Layer::Children(PairLinear::pack(weight, bias)),
             Stencil::Parent => {
-                let children = children(weight, bias).map(|own| PairLinear::pack(&own, bias));
-                Layer::Parent(Box::new(children))
+                let linears = by_child(weight, bias).map(|own| PairLinear::pack(&own, bias));
+                Layer::Parent(Box::new(linears))
             }
         };
         let simd = Bf16::new().filter(|_| lanes == LANES);
@@ -67,11 +67,11 @@ impl PairGrid {
     #[inline(always)]
     pub(super) fn layer(&self, number: usize, block: Block<'_>, fields: &Fields<'_>) {
         let Block { plan, level, nodes, source_width, zero, width, skip } = block;
-        let ([from, to], count, simd) = (plan.lists, nodes.len(), self.simd);
+        let [from, to] = plan.lists;
         // SAFETY: this stage does not write to this list.
         let pairs = unsafe { fields.pairs[from].read(0..fields.pairs[from].len()) };
         let rows = PairRows { pairs, width: source_width / 2, zero };
-        let own = || {
+        let own_rows = || {
             let numbers = nodes.start * width..nodes.end * width;
             let pairs = numbers.start / 2..numbers.end / 2;
             // SAFETY: only this item uses these nodes.
@@ -81,14 +81,10 @@ impl PairGrid {
         };
         match &self.layers[number] {
             Layer::Neighbours(linear) => {
-                let table = &level.neighbours[nodes.clone()];
-                let index = |row: usize, place: usize| table[row][place] as usize;
-                simd.apply(linear, rows, count, index, &mut own());
+                self.gather(linear, rows, &level.neighbours[nodes.clone()], own_rows());
             }
             Layer::Children(linear) => {
-                let table = &level.children[nodes.clone()];
-                let index = |row: usize, place: usize| table[row][place] as usize;
-                simd.apply(linear, rows, count, index, &mut own());
+                self.gather(linear, rows, &level.children[nodes.clone()], own_rows());
             }
             Layer::Parent(linears) => {
                 let children = &level.children[nodes.clone()];
@@ -97,10 +93,24 @@ impl PairGrid {
                 for (child, linear) in linears.iter().enumerate() {
                     let (to, pairs) = (fields.numbers[to], fields.pairs[to]);
                     let mut sink = Children { children, child, skip, to, pairs, width };
-                    simd.apply(linear, rows, count, |row, _| nodes.start + row, &mut sink);
+                    let index = |row: usize, _: usize| nodes.start + row;
+                    self.simd.apply(linear, rows, nodes.len(), index, &mut sink);
                 }
             }
         }
+    }
+
+    /// A layer of rows that a table selects.
+    #[inline(always)]
+    fn gather<const K: usize>(
+        &self,
+        linear: &PairLinear<K>,
+        rows: PairRows<'_>,
+        table: &[[u32; K]],
+        mut sink: Output<'_>,
+    ) {
+        let index = |row: usize, place: usize| table[row][place] as usize;
+        self.simd.apply(linear, rows, table.len(), index, &mut sink);
     }
 }
 
