@@ -5,7 +5,7 @@ use std::{
     io::{Read as _, Write as _},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex},
-    thread,
+    thread::{self, JoinHandle},
 };
 
 use rustix::{
@@ -38,6 +38,7 @@ pub struct OnTerminal {
     keys: File,
     child: Child,
     shown: Arc<Mutex<Vec<u8>>>,
+    reader: JoinHandle<()>,
 }
 
 impl OnTerminal {
@@ -52,15 +53,9 @@ impl OnTerminal {
         let child = command.spawn().unwrap();
         drop((command, theirs));
         let shown = Arc::new(Mutex::new(Vec::new()));
-        let (mut reader, kept) = (ours.try_clone().unwrap(), Arc::clone(&shown));
-        thread::spawn(move || {
-            let mut bytes = [0; 4096];
-            // Fails when the program has ended.
-            while let Ok(read @ 1..) = reader.read(&mut bytes) {
-                kept.lock().unwrap().extend_from_slice(&bytes[..read]);
-            }
-        });
-        Self { keys: ours, child, shown }
+        let (terminal, kept) = (ours.try_clone().unwrap(), Arc::clone(&shown));
+        let reader = thread::spawn(move || read_to_end(terminal, &kept));
+        Self { keys: ours, child, shown, reader }
     }
 
     /// Everything that was written to the terminal.
@@ -81,9 +76,11 @@ impl OnTerminal {
         self.keys.write_all(keys).unwrap();
     }
 
-    /// Waits for the end of the program.
+    /// Waits for the end of the program and for all that it has written.
     pub fn wait(&mut self) -> ExitStatus {
-        wait_for("the program ends", || self.child.try_wait().unwrap())
+        let status = wait_for("the program ends", || self.child.try_wait().unwrap());
+        wait_for("its terminal closes", || self.reader.is_finished().then_some(()));
+        status
     }
 }
 
@@ -91,6 +88,25 @@ impl Drop for OnTerminal {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+/// Reads what is written to a terminal until nobody has its other end open.
+///
+/// Linux reports that end as an error, and now and then does so while the last lines are still on
+/// their way (`n_tty_read` asks for input first and whether the other end is closed after that).
+/// The read that follows returns them: only the second error in a row is the end.
+fn read_to_end(mut terminal: File, kept: &Mutex<Vec<u8>>) {
+    let mut bytes = [0; 4096];
+    let mut errors = 0;
+    while errors < 2 {
+        match terminal.read(&mut bytes) {
+            Ok(read @ 1..) => {
+                errors = 0;
+                kept.lock().unwrap().extend_from_slice(&bytes[..read]);
+            }
+            _ => errors += 1,
+        }
     }
 }
 
