@@ -40,7 +40,13 @@ fn frame(stream: u64, sequence: u64, particles: usize) -> Frame {
 }
 
 fn write_bag(path: &Path, frames: &[Frame]) {
+    write_bag_of(path, frames, CustomData::default());
+}
+
+/// A bag of matter whose stiffness may be stated.
+fn write_bag_of(path: &Path, frames: &[Frame], custom_data: CustomData) {
     let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
+    bag.extend_custom_data(custom_data);
     let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
     for frame in frames {
         bag.write(topic, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
@@ -73,6 +79,15 @@ fn try_import(
     to: &Path,
 ) -> Result<(), ExchangeError> {
     import(from, format, &given, to, &mut || true).map(drop)
+}
+
+/// What a bag states about the stiffness of its matter.
+fn stated(stiffness: &str) -> CustomData {
+    CustomData::from([(STIFFNESS.to_owned(), stiffness.to_owned())])
+}
+
+fn custom_data_in(bag: &Path) -> CustomData {
+    BagReader::open(bag).unwrap().custom_data().clone()
 }
 
 /// A folder with a bag of two streams, 3 and 8, of four frames each.
@@ -122,15 +137,20 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn frames_come_back_from_npz_as_they_went_in(frames in any_stream()) {
+    fn frames_come_back_from_npz_as_they_went_in(
+        frames in any_stream(),
+        stiffness in prop::option::of(1e-30f32..1e30),
+    ) {
         let folder = tempdir().unwrap();
         let (bag, file) = (folder.path().join("bag"), folder.path().join("stream.npz"));
-        write_bag(&bag, &frames);
+        let custom_data = stiffness.map_or_else(CustomData::new, |e| stated(&e.to_string()));
+        write_bag_of(&bag, &frames, custom_data.clone());
         try_export(&bag, ExportFormat::Npz, &file).unwrap();
         let out = folder.path().join("out");
         try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out).unwrap();
-        let back = frames_in(&out.join(format!("stream_{:04}", frames[0].stream)));
-        prop_assert_eq!(back, frames);
+        let out = out.join(format!("stream_{:04}", frames[0].stream));
+        prop_assert_eq!(frames_in(&out), frames);
+        prop_assert_eq!(custom_data_in(&out), custom_data);
     }
 
     #[test]
@@ -166,13 +186,20 @@ fn imported_bags_state_the_stiffness_that_is_given() {
     let (folder, bag) = two_streams();
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
-    let custom_data = CustomData::from([(STIFFNESS.to_owned(), "1e4".to_owned())]);
+    let custom_data = stated("1e4");
     let (dt, domain) = (Some(0.016), Some(WIDE));
     let given = ImportOverrides { dt, domain, material: None, custom_data: custom_data.clone() };
-    try_import(&set, ImportFormat::Gns, given, &out).unwrap();
+    try_import(&set, ImportFormat::Gns, given.clone(), &out).unwrap();
     for bag in entries(&out) {
-        assert_eq!(*BagReader::open(&out.join(bag)).unwrap().custom_data(), custom_data);
+        assert_eq!(custom_data_in(&out.join(bag)), custom_data);
     }
+    // Rather than what the file states.
+    let (other, file) = (folder.path().join("other"), folder.path().join("other.npz"));
+    write_bag_of(&other, &[frame(3, 0, 5)], stated("2e5"));
+    try_export(&other, ExportFormat::Npz, &file).unwrap();
+    let out = folder.path().join("other_out");
+    try_import(&file, ImportFormat::Npz, given, &out).unwrap();
+    assert_eq!(custom_data_in(&out.join("stream_0003")), custom_data);
     let set = set.to_str().unwrap();
     let soft = ["--format", "gns", "--output", "no", "--custom-data", "eddy_stiffness=soft"];
     let said = fail(2, [&["bag", "import", set], &soft[..]].concat());
@@ -333,7 +360,12 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
         format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n")
     };
     type Change<'a> = Option<(&'a str, String, Vec<u8>)>;
-    let cases: [(&str, Change<'_>, &str); 9] = [
+    let cases: [(&str, Change<'_>, &str); 10] = [
+        (
+            "stiffness",
+            Some(("stiffness", header("'<f4'", "()"), (-3f32).to_le_bytes().to_vec())),
+            "stiffness: found -3, expected a positive number",
+        ),
         ("position", None, "position: found velocity, material"),
         (
             "position",

@@ -88,6 +88,7 @@ def check_npz(directory, truths):
         arrays = numpy.load(directory / f"{truth.name}.npz", allow_pickle=False)
         for name in ["position", "velocity", "material", "stamp", "sequence", "dt", "lower", "upper", "stream"]:
             same(arrays[name], getattr(truth, name), f"npz: {truth.name}: {name}")
+        expect(arrays["stiffness"] == 1e3, f"npz: {truth.name}: stiffness: found {arrays['stiffness']}, expected 1e3")
 
 
 def check_csv(path, truths):

@@ -6,6 +6,7 @@ use std::{
 };
 
 use eddy_bag::BagError;
+use eddy_evaluation::dataset::DatasetError;
 use eddy_frames::InvalidFrame;
 
 /// Why frames cannot be imported or exported.
@@ -15,6 +16,9 @@ pub enum ExchangeError {
     /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// A bag states no usable stiffness.
+    #[error(transparent)]
+    Stiffness(#[from] DatasetError),
     /// The operating system reports an error.
     #[error("{path}: {action}: {reason}", path = .path.display())]
     Io { path: PathBuf, action: &'static str, reason: io::Error },

@@ -140,7 +140,7 @@ impl Bags<'_, '_> {
         self.frames += trajectory.frames();
         let bag = self.directory.join(format!("stream_{stream:04}"));
         let mut writer = BagWriter::create(&bag, WriterOptions::default())?;
-        writer.extend_custom_data(self.overrides.custom_data.clone());
+        writer.extend_custom_data(trajectory.custom_data(self.overrides));
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
         trajectory.frames_with(stream, self.overrides, |frame| {
             writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr())?;

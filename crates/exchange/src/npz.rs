@@ -1,6 +1,6 @@
 //! eddy's own arrays: `position` `[T, N, 2]`, `velocity` `[T, N, 2]`, `material` `[N]` (`[T, N]`
 //! where it changes), `stamp` `[T]` (ns), `sequence` `[T]`, `dt` `[]` (s), `lower` `[2]`,
-//! `upper` `[2]`, `stream` `[]`.
+//! `upper` `[2]`, `stream` `[]`, and `stiffness` `[]` (density x velocity^2) if it is known.
 //!
 //! One file per stream, which is collected in memory because an array has the values of all frames.
 
@@ -12,6 +12,8 @@ use super::{
     streams::{Progress, Streams, Track},
     trajectory::{RawTrajectory, Types},
 };
+use eddy_bag::BagReader;
+use eddy_evaluation::dataset::stiffness_of_stream;
 
 /// Requirements for a stream.
 const RULE: &str = "an .npz file has arrays of one shape, one dt and one domain; \
@@ -50,6 +52,9 @@ pub(super) fn write(
     archive.array("lower", &[2], track.domain.lower)?;
     archive.array("upper", &[2], track.domain.upper)?;
     archive.array("stream", &[], [track.stream])?;
+    if let Some(stiffness) = stiffness_of_stream(&BagReader::open(&track.bag)?, track.stream)? {
+        archive.array("stiffness", &[], [stiffness])?;
+    }
     archive.finish()
 }
 
@@ -73,6 +78,7 @@ pub(super) fn read(path: &Path) -> Result<RawTrajectory, ExchangeError> {
     trajectory.sequence = archive.read("sequence")?;
     trajectory.dt = trajectory.scalar("dt", archive.read::<f32>("dt")?)?;
     trajectory.stream = trajectory.scalar("stream", archive.read("stream")?)?;
+    trajectory.set_stiffness(archive.read("stiffness")?)?;
     let (lower, upper) = (archive.read("lower")?, archive.read("upper")?);
     trajectory.domain = trajectory.domain_of_corners(lower, upper)?;
     Ok(trajectory)

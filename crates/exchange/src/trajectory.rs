@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{arrays::Array, error::ExchangeError};
-use eddy_bag::custom_data::CustomData;
+use eddy_bag::custom_data::{CustomData, STIFFNESS, is_stiffness};
 use eddy_frames::{Domain, Frame, Material, Stamp};
 
 /// Values that replace those of a file, or that a file does not have.
@@ -62,6 +62,8 @@ pub(super) struct RawTrajectory {
     pub(super) dt: Option<f32>,
     pub(super) domain: Option<Domain>,
     pub(super) stream: Option<u64>,
+    /// Young's modulus of all matter (density x velocity^2).
+    stiffness: Option<f32>,
 }
 
 impl RawTrajectory {
@@ -95,6 +97,7 @@ impl RawTrajectory {
             dt: None,
             domain: None,
             stream: None,
+            stiffness: None,
         })
     }
 
@@ -116,6 +119,23 @@ impl RawTrajectory {
                 Err(self.fault(name, format!("shape {shape:?}"), "one number"))
             }
         }
+    }
+
+    /// Sets the stiffness, a positive number in an array of length 1.
+    pub(super) fn set_stiffness(&mut self, array: Option<Array<f32>>) -> Result<(), ExchangeError> {
+        self.stiffness = self.scalar("stiffness", array)?;
+        match self.stiffness {
+            Some(found) if !is_stiffness(found) => {
+                Err(self.fault("stiffness", found.to_string(), "a positive number"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Entries of `custom_data` for the bag: those of the file, and those of `overrides`, which take precedence.
+    pub(super) fn custom_data(&self, overrides: &ImportOverrides) -> CustomData {
+        let stated = self.stiffness.map(|stiffness| (STIFFNESS.to_owned(), stiffness.to_string()));
+        stated.into_iter().chain(overrides.custom_data.clone()).collect()
     }
 
     /// The domain, if both corners are there.

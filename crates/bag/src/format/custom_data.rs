@@ -32,5 +32,10 @@ pub fn check_entry(key: &str, value: &str) -> Result<(), &'static str> {
 
 /// A stiffness (density x velocity^2); `None` unless it is a positive number.
 pub fn parse_stiffness(text: &str) -> Option<f32> {
-    text.parse().ok().filter(|stiffness: &f32| stiffness.is_finite() && *stiffness > 0.0)
+    text.parse().ok().filter(|&stiffness| is_stiffness(stiffness))
+}
+
+/// Whether a number can be a stiffness: it is positive and finite.
+pub fn is_stiffness(number: f32) -> bool {
+    number.is_finite() && number > 0.0
 }

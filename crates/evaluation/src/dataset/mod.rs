@@ -35,7 +35,7 @@ pub use frame_store::{CacheUsage, FrameStore};
 pub use memory::available_memory;
 pub use split::Part;
 pub use statistics::Bounds;
-pub use stiffness::stiffness_of;
+pub use stiffness::{stiffness_of, stiffness_of_stream};
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
