@@ -10,8 +10,9 @@
 
 use std::{
     arch::x86_64::{
-        __m256bh, __m512, __m512bh, __m512i, _mm512_cvtneps_pbh, _mm512_dpbf16_ps, _mm512_load_ps,
-        _mm512_load_si512, _mm512_set1_epi32,
+        __m256bh, __m256i, __m512, __m512bh, __m512i, _mm512_cvtepu16_epi32, _mm512_cvtneps_pbh,
+        _mm512_dpbf16_ps, _mm512_load_ps, _mm512_load_si512, _mm512_or_si512, _mm512_set1_epi32,
+        _mm512_slli_epi32,
     },
     mem::transmute,
 };
@@ -41,10 +42,10 @@ pub(super) struct PairLinear<const K: usize> {
     bias: Aligned,
 }
 
-/// Rows of pairs.
+/// Rows of pairs, each STEP behind the one before.
 #[derive(Clone, Copy)]
-pub(super) struct PairRows<'a> {
-    /// `[.., width]`. The last number of a layer's last pair, if rows have an odd number of inputs, is multiplied by zero, so that it must
+pub(super) struct PairRows<'a, const STEP: usize = 1> {
+    /// Rows begin every `width` pairs. The last number of a layer's last pair, if rows have an odd number of inputs, is multiplied by zero, so that it must
     /// be finite.
     pub(super) pairs: &'a [u32],
     pub(super) width: usize,
@@ -99,10 +100,10 @@ impl Bf16 {
 
     /// Applies a layer to `count` rows; `index` gives the K concatenated rows of each, by row and place.
     #[inline(always)]
-    pub(super) fn apply<const K: usize>(
+    pub(super) fn apply<const K: usize, const STEP: usize>(
         self,
         linear: &PairLinear<K>,
-        rows: PairRows<'_>,
+        rows: PairRows<'_, STEP>,
         count: usize,
         index: impl Fn(usize, usize) -> usize,
         sink: &mut impl PairSink,
@@ -116,6 +117,14 @@ impl Bf16 {
     pub(super) fn round_all(self, numbers: &[[f32; LANES]], pairs: &mut [[u32; LANES / 2]]) {
         // SAFETY: the processor has these instructions.
         unsafe { round_all(self, numbers, pairs) }
+    }
+
+    /// Rounds columns of `length` numbers, a multiple of sixteen, to columns of pairs, each of two columns; the last of an odd number of
+    /// columns has zeros beside it.
+    #[inline(always)]
+    pub(super) fn round_columns(self, columns: &[f32], length: usize, pairs: &mut [u32]) {
+        // SAFETY: the processor has these instructions.
+        unsafe { round_columns(columns, length, pairs) }
     }
 
     /// Rounds numbers to eight pairs. Inlined only into what is compiled with these instructions, as sinks are.
@@ -137,14 +146,35 @@ fn round_all(simd: Bf16, numbers: &[[f32; LANES]], pairs: &mut [[u32; LANES / 2]
     }
 }
 
+#[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512bf16")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn round_columns(columns: &[f32], length: usize, pairs: &mut [u32]) {
+    let widened = |numbers: [f32; LANES]| {
+        let rounded = _mm512_cvtneps_pbh(cast(numbers));
+        // SAFETY: both are sixteen numbers of 16 bits.
+        _mm512_cvtepu16_epi32(unsafe { transmute::<__m256bh, __m256i>(rounded) })
+    };
+    for (columns, pairs) in columns.chunks(2 * length).zip(pairs.chunks_exact_mut(length)) {
+        let (first, second) = columns.split_at(length);
+        let second = second.as_chunks().0;
+        let places = pairs.as_chunks_mut::<LANES>().0.iter_mut().zip(first.as_chunks().0);
+        for (place, (pairs, &first)) in places.enumerate() {
+            let second = widened(second.get(place).copied().unwrap_or_default());
+            let both = _mm512_or_si512(widened(first), _mm512_slli_epi32::<16>(second));
+            // SAFETY: both are as long.
+            *pairs = unsafe { transmute::<__m512i, [u32; LANES]>(both) };
+        }
+    }
+}
+
 /// Compiled with these instructions, and what is inlined into it. Panel by panel, as the rows of a block of nodes stay in the nearest cache:
 /// 4 % of a frame faster than row by row.
 #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512bf16")]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn apply<const K: usize>(
+fn apply<const K: usize, const STEP: usize>(
     simd: Bf16,
     linear: &PairLinear<K>,
-    rows: PairRows<'_>,
+    rows: PairRows<'_, STEP>,
     count: usize,
     index: impl Fn(usize, usize) -> usize,
     sink: &mut impl PairSink,
@@ -157,16 +187,16 @@ fn apply<const K: usize>(
             let (many, block) = (count - first >= 12, (first, count));
             match (two, many) {
                 (true, true) => {
-                    apply_block::<K, 2, 12>(simd, linear, panel, rows, block, &index, sink);
+                    apply_block::<K, STEP, 2, 12>(simd, linear, panel, rows, block, &index, sink);
                 }
                 (true, false) => {
-                    apply_block::<K, 2, 4>(simd, linear, panel, rows, block, &index, sink);
+                    apply_block::<K, STEP, 2, 4>(simd, linear, panel, rows, block, &index, sink);
                 }
                 (false, true) => {
-                    apply_block::<K, 1, 12>(simd, linear, panel, rows, block, &index, sink);
+                    apply_block::<K, STEP, 1, 12>(simd, linear, panel, rows, block, &index, sink);
                 }
                 (false, false) => {
-                    apply_block::<K, 1, 4>(simd, linear, panel, rows, block, &index, sink);
+                    apply_block::<K, STEP, 1, 4>(simd, linear, panel, rows, block, &index, sink);
                 }
             }
             first += if many { 12 } else { 4 };
@@ -177,11 +207,11 @@ fn apply<const K: usize>(
 
 /// G panels of R rows from `first` on; beyond `count` rows, the last one is repeated.
 #[inline(always)]
-fn apply_block<const K: usize, const G: usize, const R: usize>(
+fn apply_block<const K: usize, const STEP: usize, const G: usize, const R: usize>(
     simd: Bf16,
     linear: &PairLinear<K>,
     panel: usize,
-    rows: PairRows<'_>,
+    rows: PairRows<'_, STEP>,
     (first, count): (usize, usize),
     index: &impl Fn(usize, usize) -> usize,
     sink: &mut impl PairSink,
@@ -202,7 +232,7 @@ fn apply_block<const K: usize, const G: usize, const R: usize>(
         for (r, inputs) in inputs.iter_mut().enumerate() {
             let row = index((first + r).min(count - 1), k).min(rows.zero);
             none &= row == rows.zero;
-            *inputs = &rows.pairs[row * rows.width..][..width];
+            *inputs = &rows.pairs[row * rows.width..][..(width - 1) * STEP + 1];
         }
         if !none {
             let mut weights = [[].as_slice(); G];
@@ -211,7 +241,7 @@ fn apply_block<const K: usize, const G: usize, const R: usize>(
                 *weights = &linear.weight.get()[group * LANES..][..width * LANES];
             }
             // SAFETY: `apply` runs where the processor has the instructions; panels of weights are aligned to a vector.
-            sums = unsafe { add_products(weights, inputs, sums) };
+            sums = unsafe { add_products::<STEP, G, R>(weights, inputs, sums) };
         }
     }
     for g in 0..G {
@@ -221,27 +251,27 @@ fn apply_block<const K: usize, const G: usize, const R: usize>(
     }
 }
 
-/// Adds to `sums` the products of G panels, each `[pair, lane]`, with R rows of as many pairs. A function that returns the sums: they are
+/// Adds to `sums` the products of G panels, each `[pair, lane]`, with R rows of as many pairs, STEP apart. A function that returns the sums: they are
 /// kept in registers, while a loop in [`apply_block`] stored each of them after every product.
 ///
 /// # Safety
 /// The processor must have the instructions of [`apply`], and panels must be aligned to a vector.
 #[inline(always)]
-unsafe fn add_products<const G: usize, const R: usize>(
+unsafe fn add_products<const STEP: usize, const G: usize, const R: usize>(
     panels: [&[f32]; G],
     rows: [&[u32]; R],
     mut sums: [[__m512; R]; G],
 ) -> [[__m512; R]; G] {
-    let width = rows[0].len();
-    assert!(rows.iter().all(|row| row.len() == width));
+    let width = panels[0].len() / LANES;
     assert!(panels.iter().all(|panel| panel.len() == width * LANES));
+    assert!(rows.iter().all(|row| width > 0 && row.len() > (width - 1) * STEP));
     for pair in 0..width {
         // SAFETY: the caller's promises; `pair` is less than `width`, the number of pairs of all rows and panels.
         unsafe {
             let weights = panels
                 .map(|panel| _mm512_load_si512(panel.as_ptr().add(pair * LANES).cast::<__m512i>()));
             for r in 0..R {
-                let numbers = _mm512_set1_epi32(rows[r].get_unchecked(pair).cast_signed());
+                let numbers = _mm512_set1_epi32(rows[r].get_unchecked(pair * STEP).cast_signed());
                 let numbers = transmute::<__m512i, __m512bh>(numbers);
                 for g in 0..G {
                     let weights = transmute::<__m512i, __m512bh>(weights[g]);
@@ -314,7 +344,7 @@ mod tests {
             );
             let stride = output.next_multiple_of(LANES);
             let mut outputs = Outputs(vec![f32::NAN; table.len() * stride], stride);
-            let rows_of_pairs = PairRows { pairs: &pairs, width: width / 2, zero };
+            let rows_of_pairs = PairRows::<1> { pairs: &pairs, width: width / 2, zero };
             let index = |row: usize, place: usize| match table[row][place] {
                 missing if missing == zero => usize::MAX,
                 row => row,

@@ -120,18 +120,16 @@ impl CoreLayer {
             Core::MinGru => {
                 let [gate, candidate] = self.gates::<S, 2, R, K>(simd, panel, inputs);
                 for r in 0..R {
-                    let update = sigmoid(simd, gate[r]);
-                    let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
                     let last = load(simd, &hidden[r][units.clone()]);
-                    next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
+                    next.hidden[r] = self.minimal(simd, [gate[r], candidate[r]], last);
                 }
             }
             Core::MinLstm => {
                 let [forget, input, candidate] = self.gates::<S, 3, R, K>(simd, panel, inputs);
                 for r in 0..R {
-                    let (kept, update) = self.normalized(simd, forget[r], input[r]);
                     let last = load(simd, &hidden[r][units.clone()]);
-                    next.hidden[r] = self.mix(simd, kept, last, update, candidate[r]);
+                    let sums = [forget[r], input[r], candidate[r]];
+                    next.hidden[r] = self.minimal(simd, sums, last);
                 }
             }
             Core::Gru => {
@@ -166,6 +164,28 @@ impl CoreLayer {
             }
         }
         next
+    }
+
+    /// The new output of a minimal core from its last one and the sums of its gates, in the order of the checkpoint.
+    #[inline(always)]
+    pub(super) fn minimal<S: Simd, const G: usize>(
+        &self,
+        simd: S,
+        sums: [S::f32s; G],
+        last: S::f32s,
+    ) -> S::f32s {
+        match *sums.as_slice() {
+            [gate, candidate] => {
+                let update = sigmoid(simd, gate);
+                let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
+                self.mix(simd, kept, last, update, candidate)
+            }
+            [forget, input, candidate] => {
+                let (kept, update) = self.normalized(simd, forget, input);
+                self.mix(simd, kept, last, update, candidate)
+            }
+            _ => unreachable!("minGRU has two gates, minLSTM three"),
+        }
     }
 
     /// minLSTM's gates f and i, divided by their sum if the checkpoint says so.

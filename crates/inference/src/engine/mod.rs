@@ -10,7 +10,8 @@
 //!    (Table 1), whose outputs [`Decoded`] turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
-//!    `merged` combines layers that have no activation between them. `pair_grid` has these layers in bfloat16 (`bf16`).
+//!    `merged` combines layers that have no activation between them. `pair_blocks` and `pair_grid` have layers in bfloat16
+//!    (`bf16`).
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
 //! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
@@ -38,6 +39,11 @@ mod hidden_state;
 mod linear;
 mod merged;
 mod order;
+#[cfg(target_arch = "x86_64")]
+mod pair_blocks;
+#[cfg(not(target_arch = "x86_64"))]
+#[path = "no_pair_blocks.rs"]
+mod pair_blocks;
 #[cfg(target_arch = "x86_64")]
 mod pair_grid;
 #[cfg(not(target_arch = "x86_64"))]

@@ -13,9 +13,29 @@ use super::{
     products::{Columns, Output, Rows, Sum, apply},
 };
 use crate::{checkpoint::grid::READ, kernels::transfer::gather};
+use eddy_threads::DisjointSlice;
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;
+
+/// Particles that have gathered from the nodes, for layers in bfloat16.
+#[cfg_attr(
+    not(target_arch = "x86_64"),
+    expect(dead_code, reason = "only layers in bfloat16 read it")
+)]
+pub(super) struct Block<'a> {
+    /// Their features, `[F, BLOCK]`.
+    pub(super) features: &'a [f32],
+    /// What they have gathered.
+    pub(super) gathered: Rows<'a>,
+    /// Their rows of hidden states in the first layer.
+    pub(super) particles: &'a [u32],
+    /// Number of rows of a layer.
+    pub(super) rows: usize,
+    /// Length of these rows.
+    pub(super) width: usize,
+    pub(super) hidden: DisjointSlice<'a, f32>,
+}
 
 impl StepContext<'_> {
     /// The slots of an item.
@@ -87,7 +107,7 @@ impl StepContext<'_> {
                 field.read(0..self.nodes.level(0).len() * channels),
             )
         };
-        let LayerBuffers { input, output, states: new_cells } = buffers;
+        let LayerBuffers { input, output, states: new_cells, pairs } = buffers;
         gather(
             simd,
             self.nodes,
@@ -98,8 +118,21 @@ impl StepContext<'_> {
             |slot| slot - block.start,
             input,
         );
-        let features = Columns { numbers: columns, length: BLOCK };
         let gathered = Rows { numbers: input, width: channels };
+        if let Some(layers) = &model.pairs {
+            let block = Block {
+                features: columns,
+                gathered,
+                particles,
+                rows: self.nodes.order().len(),
+                width,
+                hidden: self.hidden,
+            };
+            let length = model.decoder.stride();
+            layers.decode(&model.core, &block, pairs, (output, length));
+            return self.predict(particles, ballistic_motion, output);
+        }
+        let features = Columns { numbers: columns, length: BLOCK };
         let mut sink = Sum { numbers: output, width, added: gathered };
         apply(simd, &model.context, count, &features, &mut sink);
         std::mem::swap(input, output);
@@ -124,7 +157,14 @@ impl StepContext<'_> {
         let mut residuals = Output { numbers: input, width: length, rectify: false };
         apply(simd, &model.decoder, count, &signal, &mut residuals);
 
-        let residuals = input.chunks_exact(length);
+        self.predict(particles, ballistic_motion, input);
+    }
+
+    /// Adds the decoder's `residuals` to the ballistic motion of particles.
+    #[inline(always)]
+    fn predict(&self, particles: &[u32], ballistic_motion: &[Motion], residuals: &[f32]) {
+        let model = self.model;
+        let residuals = residuals.chunks_exact(model.decoder.stride());
         for ((&particle, ballistic_motion), residual) in
             particles.iter().zip(ballistic_motion).zip(residuals)
         {

@@ -18,6 +18,7 @@ use super::{
     linear::{Linear, SplitLinear},
     merged::merged,
     order::reorder,
+    pair_blocks::{PairBlocks, PairBuffer},
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
     rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
@@ -49,6 +50,8 @@ pub(super) struct ParticleModel {
     pub(super) core: Vec<CoreLayer>,
     pub(super) mixer: SplitLinear,
     pub(super) decoder: SplitLinear,
+    /// Context, core, mixer and decoder in bfloat16, which are then used.
+    pub(super) pairs: Option<PairBlocks>,
     /// H.
     pub(super) hidden: usize,
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
@@ -86,6 +89,8 @@ pub(super) struct LayerBuffers {
     pub(super) output: Vec<f32>,
     /// What the features are computed from, `[STATE_COLUMNS, BLOCK]`, or the new cells of a layer of the core, `[BLOCK, its width]`.
     pub(super) states: Vec<f32>,
+    /// Between layers in bfloat16.
+    pub(super) pairs: PairBuffer,
 }
 
 impl ParticleModel {
@@ -113,6 +118,10 @@ impl ParticleModel {
                 .collect(),
             mixer: linear("mixer"),
             decoder: linear("decoder"),
+            pairs: match precision {
+                Precision::Single => None,
+                Precision::Bf16 => PairBlocks::pack(lanes, description, tensors),
+            },
             hidden: description.sizes.hidden,
             slowest,
             fastest,
@@ -144,6 +153,10 @@ impl ParticleModel {
             input: zeros(widest),
             output: zeros(widest),
             states: zeros(states.max(STATE_COLUMNS)),
+            pairs: self
+                .pairs
+                .as_ref()
+                .map_or_else(PairBuffer::default, |pairs| pairs.buffer(states)),
         };
         Scratch {
             grid: grid::Scratch::default(),

@@ -68,12 +68,13 @@ fn wide(core: Core) -> Vec<(Checkpoint, Vec<Frame>)> {
 #[test]
 fn products_in_bfloat16_are_those_of_single_precision_within_their_rounding() {
     let networks = [
-        (vec![16, 20], Core::MinGru),
-        (vec![16, 24, 20], Core::MinGru),
-        (vec![33, 40, 56, 47], Core::MinLstm),
+        (vec![16, 20], Core::MinGru, 1),
+        (vec![16, 24, 20], Core::MinGru, 3),
+        (vec![33, 40, 56, 47], Core::MinLstm, 2),
+        (vec![20, 20], Core::Gru, 1),
     ];
-    for (channels, core) in networks {
-        let sizes = Sizes { encoder: 17, hidden: 24, layers: 1, particles: None };
+    for (channels, core, layers) in networks {
+        let sizes = Sizes { encoder: 17, hidden: 24, layers, particles: None };
         let mut description = description(Architecture::Particle, core, sizes);
         description.grid.as_mut().unwrap().channels = channels;
         let (checkpoint, frames) = (checkpoint(description, 5), frames(4, 301, 6));
@@ -100,14 +101,16 @@ fn products_in_bfloat16_are_those_of_single_precision_within_their_rounding() {
             pairs.map(|(a, b)| largest_difference(&a.velocity, &b.velocity)).collect()
         };
         let found = differences(single(&checkpoint));
-        assert!(found.iter().all(|difference| *difference < 2e-3), "{found:?}");
-        // With the matrices of the children in another order, predictions differ by far more.
-        let mut other = checkpoint.clone();
-        let weights = &mut other.tensors.get_mut("grid.0.up.weight").unwrap().values;
-        let quarter = weights.len() / 4;
-        weights.rotate_left(quarter);
-        let wrong = differences(single(&other));
-        assert!(wrong.iter().all(|difference| *difference > 5e-3), "{found:?}, {wrong:?}");
+        assert!(found.iter().all(|difference| *difference < 4e-3), "{core:?}: {found:?}");
+        // With the rows of any layer in another order, predictions differ by more (of layers on particles by .01 to 1.4).
+        for name in checkpoint.tensors.keys().filter(|name| name.ends_with("weight")) {
+            let mut other = checkpoint.clone();
+            let weights = &mut other.tensors.get_mut(name).unwrap().values;
+            let quarter = weights.len() / 4;
+            weights.rotate_left(quarter);
+            let wrong = differences(single(&other));
+            assert!(wrong[3] > 2.0 * found[3], "{core:?}: {name}: {found:?}, {wrong:?}");
+        }
     }
 }
 
