@@ -6,10 +6,7 @@
 use std::{
     io::{self, IsTerminal as _, stdin},
     os::fd::{AsFd as _, OwnedFd},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Mutex},
     thread::{self, JoinHandle},
 };
 
@@ -31,8 +28,9 @@ pub(crate) struct Keyboard {
     terminal: OwnedFd,
     original: Termios,
     unbuffered: Termios,
-    /// Whether SIGINT or SIGTERM has arrived, which may be long before the drop.
-    is_released: Arc<AtomicBool>,
+    /// Whether SIGINT or SIGTERM has arrived, which may be long before the drop. Locked while the modes are changed, and while the process
+    /// is stopped.
+    is_released: Arc<Mutex<bool>>,
     signals: Handle,
     thread: Option<JoinHandle<()>>,
 }
@@ -59,7 +57,8 @@ impl Keyboard {
     /// The bytes of the keys that were pressed since the last call; at most 64.
     pub(crate) fn keys(&mut self) -> Vec<u8> {
         // A background process that reads from the terminal is stopped by the system.
-        if self.is_released.load(Ordering::Relaxed) || !in_foreground(&self.terminal) {
+        let Ok(is_released) = self.is_released.try_lock() else { return Vec::new() };
+        if *is_released || !in_foreground(&self.terminal) {
             return Vec::new();
         }
         // The shell restores its own modes while the process is stopped.
@@ -78,16 +77,15 @@ impl Keyboard {
 fn watch_signals(
     terminal: &OwnedFd,
     original: &Termios,
-    is_released: &Arc<AtomicBool>,
+    is_released: &Arc<Mutex<bool>>,
 ) -> io::Result<(Handle, JoinHandle<()>)> {
     let mut signals = Signals::new([SIGINT, SIGTERM, SIGTSTP])?;
     let (terminal, original) = (terminal.try_clone()?, original.clone());
     let (handle, is_released) = (signals.handle(), Arc::clone(is_released));
     let thread = thread::Builder::new().name("terminal".to_owned()).spawn(move || {
         for signal in signals.forever() {
-            if signal != SIGTSTP {
-                is_released.store(true, Ordering::Relaxed);
-            }
+            let Ok(mut is_released) = is_released.lock() else { return };
+            *is_released |= signal != SIGTSTP;
             if in_foreground(&terminal) {
                 // Fails if the terminal is gone.
                 let _ = tcsetattr(&terminal, OptionalActions::Now, &original);
