@@ -37,20 +37,16 @@ pub fn find_topic(
     timeout: Duration,
     is_stopped: impl Fn() -> bool,
 ) -> Result<Option<SeenTopic>, FindError> {
-    let clock = Clock::start();
-    let mut warned = false;
+    let (mut clock, mut warned) = (None, false);
     loop {
         let mut topics = transports.topics(link.transport)?;
+        // The first list opens the transport, which takes a while.
+        let clock = clock.get_or_insert_with(Clock::start);
         if let Some(topic) = topics.iter().position(|topic| topic.link == *link) {
             return Ok(Some(topics.swap_remove(topic)));
         }
         if is_stopped() {
             return Ok(None);
-        }
-        if clock.now() > timeout {
-            let available = names(&topics);
-            let (link, transport) = (link.clone(), link.transport);
-            return Err(FindError::Timeout { link, timeout, transport, available });
         }
         if !warned && clock.now() > WARNING_DELAY {
             warned = true;
@@ -60,6 +56,11 @@ pub fn find_topic(
                 link.transport,
                 names(&topics)
             );
+        }
+        if clock.now() > timeout {
+            let available = names(&topics);
+            let (link, transport) = (link.clone(), link.transport);
+            return Err(FindError::Timeout { link, timeout, transport, available });
         }
         thread::sleep(SEARCH_INTERVAL);
     }
@@ -76,8 +77,7 @@ pub fn find_topics(
     timeout: Duration,
     is_stopped: impl Fn() -> bool,
 ) -> Result<Vec<Option<SeenTopic>>, TransportError> {
-    let clock = Clock::start();
-    let mut found = vec![None; links.len()];
+    let (mut clock, mut found) = (None, vec![None; links.len()]);
     loop {
         let mut missing = false;
         for (link, found) in links.iter().zip(&mut found).filter(|(_, found)| found.is_none()) {
@@ -85,6 +85,8 @@ pub fn find_topics(
             *found = topics.into_iter().find(|topic| topic.link == *link);
             missing |= found.is_none() && link.transport != TransportKind::Shm;
         }
+        // The first lists open the transports, which takes a while.
+        let clock = clock.get_or_insert_with(Clock::start);
         if !missing || is_stopped() || clock.now() > timeout {
             return Ok(found);
         }
