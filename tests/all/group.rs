@@ -19,7 +19,9 @@ use eddy_transport::{
 };
 use tempfile::TempDir;
 
-use crate::support::{DEADLINE, Process, eddy, free_port, send, talking_eddy, unique, wait_for};
+use crate::support::{
+    DEADLINE, Process, Stalls, eddy, free_port, send, talking_eddy, unique, wait_for,
+};
 
 const STREAMS: u64 = 30;
 /// Interval between two frames of a stream.
@@ -28,6 +30,8 @@ const INTERVAL: Duration = Duration::from_millis(50);
 const HAND_OVER: Duration = Duration::from_secs(1);
 /// Frames of every stream after a change of the group: more than a hand-over and a warm-up take.
 const AFTER: u64 = 40;
+/// A node that may have stood still for longer withholds predictions: less than half of the 100 ms after which it does for certain.
+const SHORT_STALL: Duration = Duration::from_millis(40);
 
 /// A router, and this process's end of the network.
 struct Network {
@@ -36,6 +40,7 @@ struct Network {
     topic: String,
     transports: Transports,
     members: Box<dyn Membership>,
+    stalls: Stalls,
     _router: Process,
 }
 
@@ -63,6 +68,7 @@ impl Network {
             topic,
             transports,
             members,
+            stalls: Stalls::watch(),
             _router: router,
         }
     }
@@ -254,8 +260,9 @@ impl Streams {
         assert!(twice.is_empty(), "predicted more than once: {twice:?}");
     }
 
-    /// The longest time between two predictions of a stream is that of a hand-over, a warm-up and an interval.
-    fn no_stream_was_silent_for_long(&self) {
+    /// The longest time between two predictions of a stream is that of a hand-over, a warm-up and an interval, on a machine that runs
+    /// every thread when it is due.
+    fn no_stream_was_silent_for_long(&self, stalls: &Stalls) {
         let warm_up = Checkpoint::shipped().unwrap().description.warm_up;
         for stream in 0..STREAMS {
             let arrivals: Vec<_> = self.of(stream).collect();
@@ -263,7 +270,7 @@ impl Streams {
                 let [(before, from), (after, to)] = [pair[0], pair[1]];
                 let silence = to.saturating_duration_since(from);
                 assert!(
-                    silence <= HAND_OVER + (warm_up + 1) * INTERVAL,
+                    silence <= HAND_OVER + (warm_up + 1) * INTERVAL + 4 * stalls.longest(),
                     "stream {stream} was silent for {silence:?}, between frames {before} and {after}"
                 );
             }
@@ -294,8 +301,10 @@ fn every_frame_is_predicted_once_and_streams_of_a_killed_node_by_the_others_with
     streams.advance_by(20);
     streams.finish();
     streams.nothing_was_predicted_twice();
-    for stream in 0..STREAMS {
-        assert_eq!(streams.missing(stream), 0, "stream {stream}");
+    if network.stalls.longest() < SHORT_STALL {
+        for stream in 0..STREAMS {
+            assert_eq!(streams.missing(stream), 0, "stream {stream}");
+        }
     }
 
     streams.resume();
@@ -304,7 +313,7 @@ fn every_frame_is_predicted_once_and_streams_of_a_killed_node_by_the_others_with
     streams.advance_by(AFTER);
     streams.finish();
     streams.nothing_was_predicted_twice();
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     assert_eq!(network.members.members().len(), 2);
     let moved = (0..STREAMS).filter(|&stream| streams.missing(stream) > 0).count() as u64;
     assert!((1..STREAMS).contains(&moved), "{moved} of {STREAMS} streams missed frames");
@@ -320,7 +329,7 @@ fn streams_move_to_a_node_that_joins_and_from_those_that_end_and_no_frame_is_pre
     streams.advance_until("the node joins", |_| network.members.members().len() == 3);
     streams.advance_by(AFTER);
     streams.nothing_was_predicted_twice();
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     let moved = (0..STREAMS).filter(|&stream| streams.missing(stream) > 0).count() as u64;
     assert!((1..STREAMS).contains(&moved), "{moved} of {STREAMS} streams missed frames");
 
@@ -329,7 +338,7 @@ fn streams_move_to_a_node_that_joins_and_from_those_that_end_and_no_frame_is_pre
     streams.advance_by(AFTER);
     streams.finish();
     streams.nothing_was_predicted_twice();
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     nodes.iter_mut().for_each(|node| assert!(node.process.wait().success()));
     assert!(joining.process.is_running());
     assert_eq!(joining.lines("joined, 3 members").len(), 1);
@@ -346,7 +355,7 @@ fn a_node_that_was_paused_says_so_once_and_joins_again_and_nothing_is_published_
     send("-STOP", &paused.process);
     streams.advance_until("the lease ends", |_| members().len() == 1);
     streams.advance_by(AFTER);
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     let kept = members();
     assert!(kept.is_subset(&before), "{kept:?} of {before:?}");
 
@@ -356,7 +365,7 @@ fn a_node_that_was_paused_says_so_once_and_joins_again_and_nothing_is_published_
     streams.advance_by(AFTER);
     streams.finish();
     streams.nothing_was_predicted_twice();
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     let said = paused.lines("stood still for");
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(said[0].contains("it resets them and joins again"), "{said:?}");
@@ -382,7 +391,7 @@ fn a_node_whose_connection_breaks_joins_again_under_another_id_and_nothing_is_pu
     streams.advance_by(AFTER);
     streams.finish();
     streams.nothing_was_predicted_twice();
-    streams.no_stream_was_silent_for_long();
+    streams.no_stream_was_silent_for_long(&network.stalls);
     assert_eq!(members().intersection(&before).count(), 2);
     assert_eq!(cut.lines("lost all connections").len(), 1, "{:?}", cut.lines(""));
     others.iter().for_each(|other| assert_eq!(other.warnings(), [""; 0]));

@@ -204,7 +204,10 @@ fn a_managed_node_changes_its_state_and_says_so() {
         let mut said = Vec::new();
         wait_for("the last transition is logged", || {
             let record: Log = next(&mut *log);
-            assert_eq!((&record.name, record.level), (&world.name, 20), "{record:?}");
+            assert_eq!(record.name, world.name, "{record:?}");
+            // On a slow machine it waits long enough to warn that no frames come.
+            let expected = if record.msg.contains("no frames") { 30 } else { 20 };
+            assert_eq!(record.level, expected, "{record:?}");
             said.push(record.msg);
             said.last()?.ends_with("shuttingdown -> finalized").then_some(())
         });

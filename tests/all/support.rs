@@ -4,8 +4,12 @@ use std::{
     io::{BufRead as _, BufReader},
     net::TcpListener,
     path::{Path, PathBuf},
-    process::{Child, ChildStdout, Command, ExitStatus, Output, Stdio},
-    sync::atomic::{AtomicU32, Ordering},
+    process::{Child, Command, ExitStatus, Output, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicU16, AtomicU32, AtomicU64, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, channel},
+    },
     thread,
     time::{Duration, Instant},
 };
@@ -61,14 +65,22 @@ fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Out
 /// A process that ends with the test, whatever happens.
 pub struct Process {
     child: Child,
-    printed: BufReader<ChildStdout>,
+    /// The lines that it prints.
+    printed: Receiver<String>,
 }
 
 impl Process {
     /// Starts it in the background.
     pub fn start(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
-        let printed = BufReader::new(child.stdout.take().unwrap());
+        let mut stdout = BufReader::new(child.stdout.take().unwrap());
+        let (lines, printed) = channel();
+        thread::spawn(move || {
+            let mut line = String::new();
+            while stdout.read_line(&mut line).unwrap() > 0 {
+                let _ = lines.send(std::mem::take(&mut line)); // nobody may be interested any more
+            }
+        });
         Self { child, printed }
     }
 
@@ -81,13 +93,17 @@ impl Process {
 
     /// Waits until it has printed a line that begins so.
     pub fn line(&mut self, beginning: &str) -> String {
-        let mut line = String::new();
-        while !line.starts_with(beginning) {
-            line.clear();
-            let read = self.printed.read_line(&mut line).unwrap();
-            assert!(read > 0, "the process ended before it printed `{beginning}`");
+        let start = Instant::now();
+        loop {
+            match self.printed.recv_timeout(DEADLINE.saturating_sub(start.elapsed())) {
+                Ok(line) if line.starts_with(beginning) => return line,
+                Ok(_) => {}
+                Err(RecvTimeoutError::Timeout) => panic!("waited {DEADLINE:?} for `{beginning}`"),
+                Err(RecvTimeoutError::Disconnected) => {
+                    panic!("the process ended before it printed `{beginning}`")
+                }
+            }
         }
-        line
     }
 
     /// Asks it to end, as Ctrl-C does.
@@ -113,7 +129,7 @@ impl Process {
 
     /// What it has printed since the line that was waited for, once it has ended.
     pub fn rest(&mut self) -> String {
-        std::io::read_to_string(&mut self.printed).unwrap()
+        self.printed.iter().collect()
     }
 
     /// Whether it runs.
@@ -162,9 +178,42 @@ pub fn domain() -> u16 {
     1 + (next % DOMAINS) as u16
 }
 
-/// A port of the loopback interface that was free just now.
+/// A port of the loopback interface that no other test uses and that was free just now: below those that the system gives to listeners
+/// and connections that ask for any.
 pub fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    const PORTS: u16 = 600;
+    let first = 20_000 + (std::process::id() % 20) as u16 * PORTS;
+    let mut ports = std::iter::repeat_with(|| first + NEXT.fetch_add(1, Ordering::Relaxed) % PORTS);
+    let is_free = |port: &u16| TcpListener::bind(("127.0.0.1", *port)).is_ok();
+    ports.by_ref().take(usize::from(PORTS)).find(is_free).expect("a port is free")
+}
+
+/// How long the machine keeps threads from running: tests that are about time allow for it.
+pub struct Stalls(Arc<AtomicU64>);
+
+impl Stalls {
+    /// Measures from now on.
+    pub fn watch() -> Self {
+        const NAP: Duration = Duration::from_millis(5);
+        let longest = Arc::<AtomicU64>::default();
+        let kept = Arc::downgrade(&longest);
+        thread::spawn(move || {
+            let mut last = Instant::now();
+            while let Some(longest) = kept.upgrade() {
+                thread::sleep(NAP);
+                let stalled = last.elapsed().saturating_sub(NAP);
+                longest.fetch_max(stalled.as_micros() as u64, Ordering::Relaxed);
+                last = Instant::now();
+            }
+        });
+        Self(longest)
+    }
+
+    /// The longest time that a thread of this process was not run when it was due.
+    pub fn longest(&self) -> Duration {
+        Duration::from_micros(self.0.load(Ordering::Relaxed))
+    }
 }
 
 /// Simulates `scenes` short scenes into `folder`.

@@ -472,6 +472,6 @@ fn a_stop_ends_a_publisher_that_waits() {
         };
         assert!(message.starts_with(&format!("{link}: ")), "{message}");
         drop((publisher, here));
-        assert!(start.elapsed() < Duration::from_secs(2), "{transport}: {:?}", start.elapsed());
+        assert!(start.elapsed() < Duration::from_secs(5), "{transport}: {:?}", start.elapsed());
     }
 }
