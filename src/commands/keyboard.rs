@@ -48,16 +48,19 @@ impl Keyboard {
         // A read returns the waiting bytes at once.
         unbuffered.special_codes[SpecialCodeIndex::VMIN] = 0;
         unbuffered.special_codes[SpecialCodeIndex::VTIME] = 0;
-        let is_released = Arc::default();
+        let is_released = Arc::<Mutex<bool>>::default();
+        let changing = is_released.lock().ok()?;
         let (signals, thread) = watch_signals(&terminal, &original, &is_released).ok()?;
         tcsetattr(&terminal, OptionalActions::Now, &unbuffered).ok()?;
+        drop(changing);
         Some(Self { terminal, original, unbuffered, is_released, signals, thread: Some(thread) })
     }
 
     /// The bytes of the keys that were pressed since the last call; at most 64.
     pub(crate) fn keys(&mut self) -> Vec<u8> {
-        // A background process that reads from the terminal is stopped by the system.
+        // Without waiting for a signal that ends or stops this process.
         let Ok(is_released) = self.is_released.try_lock() else { return Vec::new() };
+        // A background process that reads from the terminal is stopped by the system.
         if *is_released || !in_foreground(&self.terminal) {
             return Vec::new();
         }

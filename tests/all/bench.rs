@@ -1,7 +1,5 @@
 //! Tables of this machine: that they come out, not what is in them.
 
-use std::time::Duration;
-
 use serde_json::Value;
 
 use crate::{
@@ -128,9 +126,8 @@ fn nodes_that_share_streams_are_timed() {
     let report: Value = serde_json::from_str(&succeed(arguments.iter().chain(&more))).unwrap();
     let timing = &report["timing"];
     let counts = ["frames", "lost", "twice"].map(|count| timing[count].as_u64().unwrap());
-    // Nodes withhold predictions on a machine that does not run every thread when it is due.
-    let lost = if stalls.longest() < Duration::from_millis(40) { 0 } else { counts[1] };
-    assert_eq!(counts, [400, lost, 0], "{report}");
+    let most = if stalls.are_long() { 40 } else { 0 };
+    assert!(counts[0] == 400 && counts[1] <= most && counts[2] == 0, "{report}");
     assert!(timing["way"]["p50"].as_f64().unwrap() > 0.0, "{report}");
     #[cfg(target_os = "linux")]
     assert!(timing["processor"]["nodes"].as_f64().unwrap() > 0.0, "{report}");
@@ -141,8 +138,8 @@ fn nodes_that_share_streams_are_timed() {
     let timing = &report["timing"];
     assert_eq!((&timing["frames"], &timing["twice"]), (&800.into(), &0.into()), "{report}");
     assert!((1..200).contains(&timing["lost"].as_u64().unwrap()), "{report}");
-    let stalled = 4.0 * stalls.longest().as_secs_f64();
-    assert!(timing["silence"].as_f64().unwrap() < 1.5 + stalled, "{report}");
+    let limit = 1.5 + stalls.delay().as_secs_f64();
+    assert!(timing["silence"].as_f64().unwrap() < limit, "{report}");
     assert!(fail(2, ["bench", "group", "--nodes", "1", "--kill"]).contains("nodes: found 1"));
 }
 

@@ -200,6 +200,13 @@ fn imported_bags_state_the_stiffness_that_is_given() {
     let out = folder.path().join("other_out");
     try_import(&file, ImportFormat::Npz, given, &out).unwrap();
     assert_eq!(custom_data_in(&out.join("stream_0003")), custom_data);
+    write_bag_of(&other.with_file_name("wrong"), &[frame(3, 0, 5)], stated("soft"));
+    let wrong = try_export(&other.with_file_name("wrong"), ExportFormat::Npz, &out.join("no.npz"));
+    let wrong = wrong.unwrap_err().to_string();
+    assert!(
+        wrong.contains("eddy_stiffness: found \"soft\", expected a positive number"),
+        "{wrong}"
+    );
     let set = set.to_str().unwrap();
     let soft = ["--format", "gns", "--output", "no", "--custom-data", "eddy_stiffness=soft"];
     let said = fail(2, [&["bag", "import", set], &soft[..]].concat());

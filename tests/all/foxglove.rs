@@ -152,7 +152,7 @@ fn clouds_status_and_diagnostics_of_a_node_are_shown() {
         Some(rate.unwrap().value.parse::<f64>().unwrap()).filter(|rate| *rate > 0.0)
     };
     while shown.len() < topics.len() || rate(&shown).is_none() {
-        assert!(Instant::now() < deadline, "only of {:?}", shown.keys());
+        assert!(Instant::now() < deadline, "only {:?}, rate {:?}", shown.keys(), rate(&shown));
         let (number, bytes) = viewer.message();
         shown.insert(number, bytes);
     }

@@ -96,7 +96,7 @@ impl Drop for OnTerminal {
 /// Linux reports that end as an error, and now and then does so while the last lines are still on
 /// their way (`n_tty_read` asks for input first and whether the other end is closed after that).
 /// The read that follows returns them: only the second error in a row is the end.
-fn read_to_end(mut terminal: File, kept: &Mutex<Vec<u8>>) {
+pub fn read_to_end(mut terminal: File, kept: &Mutex<Vec<u8>>) {
     let mut bytes = [0; 4096];
     let mut errors = 0;
     while errors < 2 {

@@ -3,11 +3,11 @@
 use std::{
     collections::BTreeMap,
     fs::{self, File},
-    io::{Read as _, Write as _},
+    io::Write as _,
     path::Path,
     process::{Command, Stdio},
     sync::{
-        Arc,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
     thread,
@@ -28,7 +28,7 @@ use rustix::termios::{LocalModes, tcgetattr};
 
 use crate::{
     client::Client,
-    pty::{OnTerminal, ends, in_a_session, lines},
+    pty::{OnTerminal, ends, in_a_session, lines, read_to_end},
     support::{Process, World, domain, fail, latched, talking_eddy, wait_for, word},
 };
 
@@ -175,9 +175,9 @@ fn keys_on_a_terminal_pause_and_step_and_the_terminal_is_as_before_afterwards() 
     // All who could still write are gone: reading ends.
     drop(theirs);
     // Nothing of what was typed was shown.
-    let mut shown = Vec::new();
-    let _ = ours.read_to_end(&mut shown);
-    assert_eq!(String::from_utf8_lossy(&shown), "");
+    let shown = Mutex::default();
+    read_to_end(ours, &shown);
+    assert_eq!(String::from_utf8_lossy(&shown.into_inner().unwrap()), "");
 }
 
 #[test]

@@ -108,8 +108,12 @@ fn end_beside_a_stopped_recorder(
     let mut reader = network.reader(link);
     let recorder = network.recorder(link);
     let mut publisher = Process::start(&mut command);
-    // Some time, in which the recorder connects: in shared memory nobody waits for one that has not.
-    read(reader.as_mut(), 500);
+    // Half a second or more, in which the recorder connects: in shared memory nobody waits for one that has not.
+    let start = Instant::now();
+    read(reader.as_mut(), 20);
+    while start.elapsed() < Duration::from_millis(500) {
+        read(reader.as_mut(), 1);
+    }
     send("-STOP", &recorder);
     read_until_silent(reader.as_mut());
     let start = Instant::now();

@@ -66,7 +66,7 @@ fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Out
 pub struct Process {
     child: Child,
     /// The lines that it prints.
-    printed: Receiver<String>,
+    printed: Receiver<std::io::Result<String>>,
 }
 
 impl Process {
@@ -77,8 +77,16 @@ impl Process {
         let (lines, printed) = channel();
         thread::spawn(move || {
             let mut line = String::new();
-            while stdout.read_line(&mut line).unwrap() > 0 {
-                let _ = lines.send(std::mem::take(&mut line)); // nobody may be interested any more
+            loop {
+                let read = stdout.read_line(&mut line);
+                let ended = !matches!(read, Ok(1..));
+                if !matches!(read, Ok(0)) {
+                    let line = read.map(|_| std::mem::take(&mut line));
+                    let _ = lines.send(line); // nobody may be interested any more
+                }
+                if ended {
+                    return;
+                }
             }
         });
         Self { child, printed }
@@ -96,8 +104,12 @@ impl Process {
         let start = Instant::now();
         loop {
             match self.printed.recv_timeout(DEADLINE.saturating_sub(start.elapsed())) {
-                Ok(line) if line.starts_with(beginning) => return line,
-                Ok(_) => {}
+                Ok(line) => {
+                    let line = line.unwrap();
+                    if line.starts_with(beginning) {
+                        return line;
+                    }
+                }
                 Err(RecvTimeoutError::Timeout) => panic!("waited {DEADLINE:?} for `{beginning}`"),
                 Err(RecvTimeoutError::Disconnected) => {
                     panic!("the process ended before it printed `{beginning}`")
@@ -129,7 +141,11 @@ impl Process {
 
     /// What it has printed since the line that was waited for, once it has ended.
     pub fn rest(&mut self) -> String {
-        self.printed.iter().collect()
+        let mut rest = String::new();
+        while let Ok(line) = self.printed.recv_timeout(DEADLINE) {
+            rest.push_str(&line.unwrap());
+        }
+        rest
     }
 
     /// Whether it runs.
@@ -178,15 +194,15 @@ pub fn domain() -> u16 {
     1 + (next % DOMAINS) as u16
 }
 
-/// A port of the loopback interface that no other test uses and that was free just now: below those that the system gives to listeners
-/// and connections that ask for any.
+/// A port of the loopback interface that no other test of this process uses and that was free just now: below those that the system gives
+/// to listeners and connections that ask for any.
 pub fn free_port() -> u16 {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     const PORTS: u16 = 600;
     let first = 20_000 + (std::process::id() % 20) as u16 * PORTS;
-    let mut ports = std::iter::repeat_with(|| first + NEXT.fetch_add(1, Ordering::Relaxed) % PORTS);
+    let mut ports = (0..PORTS).map(|_| first + NEXT.fetch_add(1, Ordering::Relaxed) % PORTS);
     let is_free = |port: &u16| TcpListener::bind(("127.0.0.1", *port)).is_ok();
-    ports.by_ref().take(usize::from(PORTS)).find(is_free).expect("a port is free")
+    ports.find(is_free).expect("a port is free")
 }
 
 /// How long the machine keeps threads from running: tests that are about time allow for it.
@@ -211,8 +227,20 @@ impl Stalls {
     }
 
     /// The longest time that a thread of this process was not run when it was due.
-    pub fn longest(&self) -> Duration {
+    fn longest(&self) -> Duration {
         Duration::from_micros(self.0.load(Ordering::Relaxed))
+    }
+
+    /// What several processes that wait for each other may take longer for it: four, as a frame passes the source, a router, a node and
+    /// the router again.
+    pub fn delay(&self) -> Duration {
+        4 * self.longest()
+    }
+
+    /// Whether nodes of a group may have withheld predictions: they do 100 ms after they last looked at the others, which they do every
+    /// 25 ms.
+    pub fn are_long(&self) -> bool {
+        self.longest() > Duration::from_millis(40)
     }
 }
 

@@ -18,7 +18,7 @@ pub enum ExchangeError {
     Bag(#[from] BagError),
     /// A bag states no usable stiffness.
     #[error(transparent)]
-    Stiffness(#[from] DatasetError),
+    Stiffness(DatasetError),
     /// The operating system reports an error.
     #[error("{path}: {action}: {reason}", path = .path.display())]
     Io { path: PathBuf, action: &'static str, reason: io::Error },

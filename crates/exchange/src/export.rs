@@ -9,6 +9,7 @@ use super::{
     streams::{Progress, Streams, Track},
     vtu,
 };
+use eddy_evaluation::dataset::simulate::ScenesBeside;
 use eddy_settings::atomic::Staged;
 
 /// Formats for export.
@@ -82,20 +83,20 @@ pub fn export(
     });
     let tracks: Vec<&Track> = streams.tracks().iter().collect();
     let output = Staged::new(path).map_err(ExchangeError::output(path))?;
-    let staged = &output.path();
+    let (staged, mut scenes) = (&output.path(), ScenesBeside::default());
     let directory = || {
         fs::create_dir(staged).map_err(ExchangeError::io(staged, "creating the directory"))?;
         Ok::<&Path, ExchangeError>(staged)
     };
     match format {
         ExportFormat::Npz if single_file => {
-            npz::write(streams, only(&tracks, path)?, staged, progress)?;
+            npz::write(streams, only(&tracks, path)?, staged, &mut scenes, progress)?;
         }
         ExportFormat::Npz => {
             let directory = directory()?;
             for track in tracks {
                 let file = directory.join(format!("{}.npz", track.name()));
-                npz::write(streams, track, &file, progress)?;
+                npz::write(streams, track, &file, &mut scenes, progress)?;
             }
         }
         ExportFormat::Vtu => vtu::write(streams, truth, directory()?, progress)?,

@@ -13,20 +13,24 @@ use super::{
     trajectory::{RawTrajectory, Types},
 };
 use eddy_bag::BagReader;
-use eddy_evaluation::dataset::stiffness_of_stream;
+use eddy_evaluation::dataset::{simulate::ScenesBeside, stiffness_of_stream};
 
 /// Requirements for a stream.
 const RULE: &str = "an .npz file has arrays of one shape, one dt and one domain; \
                     vtu, ply and csv can represent streams that change";
 
-/// Writes one stream.
+/// Writes one stream. `scenes` are those beside its bag, if that does not say how stiff its matter is.
 pub(super) fn write(
     streams: &Streams,
     track: &Track,
     path: &Path,
+    scenes: &mut ScenesBeside,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     track.check_constant(&["particles", "dt", "domain"], RULE)?;
+    let bag = BagReader::open(&track.bag)?;
+    let stiffness = stiffness_of_stream(&bag, track.stream, scenes);
+    let stiffness = stiffness.map_err(ExchangeError::Stiffness)?;
     let (frames, particles) = (track.frames, track.particles());
     let (mut position, mut velocity) = (Vec::new(), Vec::new());
     let (mut material, mut stamp, mut sequence) = (Vec::new(), Vec::new(), Vec::new());
@@ -52,7 +56,7 @@ pub(super) fn write(
     archive.array("lower", &[2], track.domain.lower)?;
     archive.array("upper", &[2], track.domain.upper)?;
     archive.array("stream", &[], [track.stream])?;
-    if let Some(stiffness) = stiffness_of_stream(&BagReader::open(&track.bag)?, track.stream)? {
+    if let Some(stiffness) = stiffness {
         archive.array("stiffness", &[], [stiffness])?;
     }
     archive.finish()

@@ -15,7 +15,7 @@ pub struct ImportOverrides {
     pub domain: Option<Domain>,
     /// Material of all particles.
     pub material: Option<Material>,
-    /// Entries of `custom_data` in the metadata of each bag.
+    /// Entries of `custom_data` in the metadata of each bag, among them the stiffness.
     pub custom_data: CustomData,
 }
 

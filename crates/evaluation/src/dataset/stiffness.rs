@@ -54,14 +54,18 @@ pub fn stiffness_of(bag: &BagReader, topic: &str) -> Result<f32, DatasetError> {
     let first = bag.frames(topic)?.next().transpose()?;
     let stream = first.map_or(0, |frame| frame.stream);
     let unknown = || DatasetError::Stiffness { path: bag.path().to_owned(), stream };
-    stiffness_of_stream(bag, stream)?.ok_or_else(unknown)
+    ScenesBeside::default().stiffness(bag.path(), stream).ok_or_else(unknown)
 }
 
-/// The stiffness of one stream of a bag (density x velocity^2); `None` if it is not known.
+/// The stiffness of a stream of a bag (density x velocity^2), as its metadata says it, otherwise as `beside` does; `None` if it is not
+/// known.
 ///
 /// # Errors
 /// [`DatasetError::StatedStiffness`] if the metadata says no positive number.
-pub fn stiffness_of_stream(bag: &BagReader, stream: u64) -> Result<Option<f32>, DatasetError> {
-    let beside = || ScenesBeside::default().stiffness(bag.path(), stream);
-    Ok(stated(bag)?.or_else(beside))
+pub fn stiffness_of_stream(
+    bag: &BagReader,
+    stream: u64,
+    beside: &mut ScenesBeside,
+) -> Result<Option<f32>, DatasetError> {
+    Ok(stated(bag)?.or_else(|| beside.stiffness(bag.path(), stream)))
 }

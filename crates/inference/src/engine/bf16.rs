@@ -42,15 +42,22 @@ pub(super) struct PairLinear<const K: usize> {
     bias: Aligned,
 }
 
-/// Rows of pairs, each STEP behind the one before.
+/// Rows whose pairs are STEP apart.
 #[derive(Clone, Copy)]
 pub(super) struct PairRows<'a, const STEP: usize = 1> {
-    /// Rows begin every `width` pairs. The last number of a layer's last pair, if rows have an odd number of inputs, is multiplied by zero, so that it must
-    /// be finite.
+    /// A row begins every `width` pairs. The last number of a layer's last pair, if rows have an odd number of inputs, is multiplied by
+    /// zero, so that it must be finite.
     pub(super) pairs: &'a [u32],
     pub(super) width: usize,
     /// Index of the row of zeros that all larger indices stand for.
     pub(super) zero: usize,
+}
+
+impl<'a, const STEP: usize> PairRows<'a, STEP> {
+    /// Rows of which none is missing.
+    pub(super) fn complete(pairs: &'a [u32], width: usize) -> Self {
+        Self { pairs, width, zero: usize::MAX }
+    }
 }
 
 /// The outputs of a layer, row by row.
@@ -161,7 +168,7 @@ fn round_columns(columns: &[f32], length: usize, pairs: &mut [u32]) {
         for (place, (pairs, &first)) in places.enumerate() {
             let second = widened(second.get(place).copied().unwrap_or_default());
             let both = _mm512_or_si512(widened(first), _mm512_slli_epi32::<16>(second));
-            // SAFETY: both are as long.
+            // SAFETY: both have 512 bits.
             *pairs = unsafe { transmute::<__m512i, [u32; LANES]>(both) };
         }
     }
@@ -266,7 +273,8 @@ unsafe fn add_products<const STEP: usize, const G: usize, const R: usize>(
     assert!(panels.iter().all(|panel| panel.len() == width * LANES));
     assert!(rows.iter().all(|row| width > 0 && row.len() > (width - 1) * STEP));
     for pair in 0..width {
-        // SAFETY: the caller's promises; `pair` is less than `width`, the number of pairs of all rows and panels.
+        // SAFETY: the caller's promises; panels have `width` vectors, and `pair * STEP` is at most `(width - 1) * STEP`, which is less than
+        // the length of every row.
         unsafe {
             let weights = panels
                 .map(|panel| _mm512_load_si512(panel.as_ptr().add(pair * LANES).cast::<__m512i>()));
@@ -290,6 +298,8 @@ mod tests {
     use super::*;
 
     const PLACES: usize = 4;
+    /// Length of a column.
+    const COLUMN: usize = 32;
 
     /// Receives outputs, `[row, width]`.
     struct Outputs(Vec<f32>, usize);
@@ -345,11 +355,24 @@ mod tests {
             let stride = output.next_multiple_of(LANES);
             let mut outputs = Outputs(vec![f32::NAN; table.len() * stride], stride);
             let rows_of_pairs = PairRows::<1> { pairs: &pairs, width: width / 2, zero };
+            // The same rows as columns, and columns of zeros.
+            let mut columns = vec![0.0; input * COLUMN];
+            for (row, numbers) in rows.chunks(input).enumerate() {
+                for (k, &number) in numbers.iter().enumerate() {
+                    columns[k * COLUMN + row] = number;
+                }
+            }
+            let mut pairs_of_columns = vec![u32::MAX; input.div_ceil(2) * COLUMN];
+            simd.round_columns(&columns, COLUMN, &mut pairs_of_columns);
+            let columns = PairRows::<COLUMN> { pairs: &pairs_of_columns, width: 1, zero };
             let index = |row: usize, place: usize| match table[row][place] {
                 missing if missing == zero => usize::MAX,
                 row => row,
             };
             simd.apply(&linear, rows_of_pairs, table.len(), index, &mut outputs);
+            let mut of_columns = Outputs(vec![f32::NAN; table.len() * stride], stride);
+            simd.apply(&linear, columns, table.len(), index, &mut of_columns);
+            prop_assert_eq!(&of_columns.0, &outputs.0);
             for (places, outputs) in table.iter().zip(outputs.0.chunks(stride)) {
                 for (unit, &found) in outputs.iter().enumerate() {
                     let expected = bias.get(unit).map_or(0.0, |&bias| {

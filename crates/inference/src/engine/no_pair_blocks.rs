@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{core::CoreLayer, particle_blocks::Block};
+use super::{core::CoreLayer, particle_blocks::GatheredBlock};
 use crate::checkpoint::{Description, Weights};
 
 /// There are none.
@@ -25,7 +25,7 @@ impl PairBlocks {
     pub(super) fn decode(
         &self,
         _: &[CoreLayer],
-        _: &Block<'_>,
+        _: &GatheredBlock<'_>,
         _: &mut PairBuffer,
         _: (&mut [f32], usize),
     ) {

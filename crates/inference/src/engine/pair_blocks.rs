@@ -1,5 +1,4 @@
-//! The network's layers on a block of particles in bfloat16, behind what is gathered from the nodes (`particle_blocks` has them in single
-//! precision).
+//! The network's layers on a block of particles after the grid, in bfloat16 (`particle_blocks` has them in single precision).
 //!
 //! A layer reads the rounded outputs of the one before. Hidden states and the decoder's outputs are in single precision.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
@@ -12,7 +11,7 @@ use super::{
     bf16::{Bf16, LANES, PairLinear, PairRows, PairSink},
     core::CoreLayer,
     linear::{load, store},
-    particle_blocks::Block,
+    particle_blocks::GatheredBlock,
     particle_model::BLOCK,
     products::Rows,
 };
@@ -97,7 +96,7 @@ impl PairBlocks {
     pub(super) fn decode(
         &self,
         layers: &[CoreLayer],
-        block: &Block<'_>,
+        block: &GatheredBlock<'_>,
         buffer: &mut PairBuffer,
         (residuals, length): (&mut [f32], usize),
     ) {
@@ -105,26 +104,26 @@ impl PairBlocks {
         let PairBuffer { features, signals: [input, output], sums } = buffer;
         let (mut input, mut output) = (input, output);
         self.simd.round_columns(block.features, BLOCK, features);
-        let rows = PairRows::<BLOCK> { pairs: features, width: 1, zero: BLOCK };
+        let rows = PairRows::<BLOCK>::complete(features, 1);
         let own = |row: usize, _: usize| row;
         let mut sink = Signal { pairs: input, width, added: Some(block.gathered) };
         self.simd.apply(&self.context, rows, count, own, &mut sink);
         for (number, (gates, layer)) in self.core.iter().zip(layers).enumerate() {
-            let rows = PairRows::<1> { pairs: input, width, zero: BLOCK };
-            let first = number * block.rows;
+            let rows = PairRows::<1>::complete(input, width);
+            let first_row = number * block.rows;
             if layer.sums() == 2 {
-                let mut sink = Gates::<2> { layer, block, first, sums, pairs: output };
+                let mut sink = Gates::<2> { layer, block, first_row, sums, pairs: output };
                 self.simd.apply(gates, rows, count, own, &mut sink);
             } else {
-                let mut sink = Gates::<MOST_GATES> { layer, block, first, sums, pairs: output };
+                let mut sink = Gates::<MOST_GATES> { layer, block, first_row, sums, pairs: output };
                 self.simd.apply(gates, rows, count, own, &mut sink);
             }
             std::mem::swap(&mut input, &mut output);
         }
-        let rows = PairRows::<1> { pairs: input, width, zero: BLOCK };
+        let rows = PairRows::<1>::complete(input, width);
         let mut mixed = Signal { pairs: output, width, added: None };
         self.simd.apply(&self.mixer, rows, count, own, &mut mixed);
-        let rows = PairRows::<1> { pairs: output, width, zero: BLOCK };
+        let rows = PairRows::<1>::complete(output, width);
         self.simd.apply(&self.decoder, rows, count, own, &mut Residuals(residuals, length));
     }
 }
@@ -174,9 +173,9 @@ impl PairSink for Signal<'_> {
 /// Receives the sums of G gates, a panel of each in turn, and computes new outputs with those of the last one.
 struct Gates<'a, const G: usize> {
     layer: &'a CoreLayer,
-    block: &'a Block<'a>,
+    block: &'a GatheredBlock<'a>,
     /// The layer's first row of hidden states.
-    first: usize,
+    first_row: usize,
     sums: &'a mut [f32],
     pairs: &'a mut [u32],
 }
@@ -192,7 +191,7 @@ impl<const G: usize> PairSink for Gates<'_, G> {
         if gate + 1 < G {
             return;
         }
-        let begin = (self.first + block.particles[row] as usize) * block.width + unit;
+        let begin = (self.first_row + block.particles[row] as usize) * block.width + unit;
         // SAFETY: a particle has one slot, which is in this block.
         let hidden = unsafe { block.hidden.part(begin..begin + LANES) };
         let mut gates = [outputs; G];

@@ -23,7 +23,7 @@ const OUTPUTS: usize = 4;
     not(target_arch = "x86_64"),
     expect(dead_code, reason = "only layers in bfloat16 read it")
 )]
-pub(super) struct Block<'a> {
+pub(super) struct GatheredBlock<'a> {
     /// Their features, `[F, BLOCK]`.
     pub(super) features: &'a [f32],
     /// What they have gathered.
@@ -120,7 +120,7 @@ impl StepContext<'_> {
         );
         let gathered = Rows { numbers: input, width: channels };
         if let Some(layers) = &model.pairs {
-            let block = Block {
+            let gathered = GatheredBlock {
                 features: columns,
                 gathered,
                 particles,
@@ -129,7 +129,7 @@ impl StepContext<'_> {
                 hidden: self.hidden,
             };
             let length = model.decoder.stride();
-            layers.decode(&model.core, &block, pairs, (output, length));
+            layers.decode(&model.core, &gathered, pairs, (output, length));
             return self.predict(particles, ballistic_motion, output);
         }
         let features = Columns { numbers: columns, length: BLOCK };

@@ -39,8 +39,8 @@ const MAX_REACH: f32 = 1.1;
 /// Largest accepted velocity, relative to the largest in training.
 const SPEED_FACTOR: f32 = 2.0;
 
-/// Precision of the factors that most layers of a particle model multiply: those on the nodes of its grid, and those of particles behind
-/// it if the core is minGRU or minLSTM. Their products are summed in single precision.
+/// Precision of the factors that most layers of a particle model multiply: those on the nodes of its grid, and those on
+/// particles after the grid if the core is minGRU or minLSTM. Their products are summed in single precision.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
     /// 24 significant bits.

@@ -325,7 +325,7 @@ mod tests {
         sync::atomic::{AtomicBool, Ordering},
     };
 
-    /// Nobody waits long in tests.
+    /// Nobody waits long in tests, and a busy machine is not taken for a lost one.
     const TIMING: Timing = Timing {
         deadline: Duration::from_secs(20),
         alive: Duration::from_millis(20),

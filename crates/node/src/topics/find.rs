@@ -27,7 +27,7 @@ pub enum FindError {
     Timeout { link: Link, timeout: Duration, transport: TransportKind, available: String },
 }
 
-/// Waits up to `timeout` for a publisher of `link`. `None` when `is_stopped` first.
+/// Waits up to `timeout` for a publisher of `link`, from the first list of topics on. `None` when `is_stopped` first.
 ///
 /// # Errors
 /// [`FindError`].
@@ -48,6 +48,7 @@ pub fn find_topic(
         if is_stopped() {
             return Ok(None);
         }
+        // Before the timeout, so that the warning is not left out when a list takes long.
         if !warned && clock.now() > WARNING_DELAY {
             warned = true;
             tracing::warn!(
@@ -66,7 +67,7 @@ pub fn find_topic(
     }
 }
 
-/// Looks up to `timeout` for publishers of all `links`; `None` for those without. Topics in shared memory are listed at
+/// Looks up to `timeout` for publishers of all `links`, from the first list of topics on; `None` for those without. Topics in shared memory are listed at
 /// once.
 ///
 /// # Errors

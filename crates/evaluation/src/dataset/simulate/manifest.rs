@@ -269,7 +269,7 @@ impl Manifest {
 
 /// The scenes in the manifests beside bags; each manifest is read once.
 #[derive(Debug, Default)]
-pub(crate) struct ScenesBeside(HashMap<PathBuf, BTreeMap<u64, Scene>>);
+pub struct ScenesBeside(HashMap<PathBuf, BTreeMap<u64, Scene>>);
 
 impl ScenesBeside {
     /// The scene that a stream of a bag was simulated from; `None` without a manifest that has it.

@@ -31,8 +31,7 @@ use std::{
 use eddy_frames::progress::Progress;
 use eddy_mpm::{Accelerator, Extent, MpmError, Scene, Settings, Simulation};
 pub use error::SimulateError;
-pub(crate) use manifest::ScenesBeside;
-pub use manifest::{EnergyCurve, Finished, Start, recorded_scenes};
+pub use manifest::{EnergyCurve, Finished, ScenesBeside, Start, recorded_scenes};
 use manifest::{Manifest, RecordedRequest};
 pub use plan::Planned;
 pub use recording::{Recording, Store};
