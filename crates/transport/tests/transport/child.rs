@@ -157,6 +157,8 @@ fn echo(transports: &Transports, link: &Link) {
     let mut subscriber = frames_subscriber(transports, link);
     let back = link.with_topic(&format!("{}/back", link.topic));
     let mut publisher = frames_publisher(transports, &back, Reliability::Block);
+    // Each end of a DDS topic finds the other one by itself.
+    super::eventually("the frames that go back are awaited", || publisher.subscribers() == 1);
     println!("ready");
     loop {
         if let Some(payload) = subscriber.receive(Duration::from_millis(100)).unwrap() {
