@@ -300,7 +300,8 @@ pub struct RecordArgs {
     #[arg(long, value_enum, default_value_t = Compression::Zstd)]
     pub compression: Compression,
     /// Entries of custom_data in metadata.yaml, as for `ros2 bag record`; eddy_stiffness=E is Young's modulus of the recorded matter
-    /// (density x velocity^2), for checkpoints that are conditioned on it.
+    /// (density x velocity^2), for checkpoints that are conditioned on it; eddy_gravity=G is gravity along y, negative is down
+    /// (domain lengths per s^2).
     #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = values::key_value)]
     pub custom_data: Vec<(String, String)>,
     /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`

@@ -293,7 +293,7 @@ impl Message {
 ///
 /// `path` is the directory of the bag, which must not exist. `compression` is none, lz4 or zstd. `custom_data` are entries of
 /// custom_data in metadata.yaml; eddy_stiffness is Young's modulus of the recorded matter (density x velocity^2), a positive number
-/// as text.
+/// as text, and eddy_gravity is gravity along y, negative is down (domain lengths per s^2).
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct BagWriter {
     /// None after `close`.

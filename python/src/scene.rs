@@ -1,9 +1,9 @@
 //! `Scene`: initial conditions and settings of a simulation.
 
-use std::path::PathBuf;
+use std::{ffi::CString, path::PathBuf};
 
 use eddy_mpm::{Extent, Preset};
-use pyo3::{prelude::*, types::PyDict};
+use pyo3::{exceptions::PyUserWarning, prelude::*, types::PyDict};
 
 use crate::{
     errors::{SimulationError, raise},
@@ -20,7 +20,11 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    fn checked(inner: eddy_mpm::Scene) -> PyResult<Self> {
+    fn checked(py: Python<'_>, mut inner: eddy_mpm::Scene) -> PyResult<Self> {
+        if let Some(note) = inner.read_older_form() {
+            let note = CString::new(note).map_err(PyErr::from)?;
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &note, 1)?;
+        }
         inner.check().map_err(raise::<SimulationError>)?;
         Ok(Self { inner })
     }
@@ -30,7 +34,7 @@ impl Scene {
 impl Scene {
     #[new]
     fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
-        Self::checked(values::parse("settings", settings)?)
+        Self::checked(settings.py(), values::parse("settings", settings)?)
     }
 
     /// A random scene of a preset (kinds, multi-material, fluid, stiff). The same seed and id give the same scene.
@@ -47,8 +51,8 @@ impl Scene {
 
     /// Reads a scene file (TOML).
     #[staticmethod]
-    fn load(path: PathBuf) -> PyResult<Self> {
-        Self::checked(eddy_settings::load(&path).map_err(raise::<SimulationError>)?)
+    fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        Self::checked(py, eddy_settings::load(&path).map_err(raise::<SimulationError>)?)
     }
 
     /// The settings as a dictionary with the keys of a scene file.

@@ -78,7 +78,7 @@ pub struct NewBagArgs {
     #[arg(long, value_enum)]
     pub compression: Option<Compression>,
     /// Entries of custom_data in metadata.yaml, beside those of the input; eddy_stiffness=E is Young's modulus of the recorded matter
-    /// (density x velocity^2).
+    /// (density x velocity^2), eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2).
     #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = super::values::key_value)]
     pub custom_data: Vec<(String, String)>,
 }
@@ -208,7 +208,8 @@ pub struct ImportArgs {
     /// Material of all particles: liquid, snow, jelly or rope [default: from the files].
     #[arg(long, value_parser = material)]
     pub material: Option<Material>,
-    /// Entries of custom_data in metadata.yaml of each bag; eddy_stiffness=E is Young's modulus of the matter (density x velocity^2) [default: from npz files].
+    /// Entries of custom_data in metadata.yaml of each bag; eddy_stiffness=E is Young's modulus of the matter (density x velocity^2),
+    /// eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2) [default: from npz files].
     #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = super::values::key_value)]
     pub custom_data: Vec<(String, String)>,
 }

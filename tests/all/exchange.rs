@@ -8,7 +8,7 @@ use std::{
 
 use eddy_bag::{
     BagReader, BagWriter, WriterOptions,
-    custom_data::{CustomData, STIFFNESS},
+    custom_data::{CustomData, GRAVITY, STIFFNESS},
 };
 use eddy_exchange::{
     ExchangeError, ExportFormat, FrameSelection, ImportFormat, ImportOverrides, Streams, export,
@@ -140,10 +140,12 @@ proptest! {
     fn frames_come_back_from_npz_as_they_went_in(
         frames in any_stream(),
         stiffness in prop::option::of(1e-30f32..1e30),
+        gravity in prop::option::of(-1e30f32..1e30),
     ) {
         let folder = tempdir().unwrap();
         let (bag, file) = (folder.path().join("bag"), folder.path().join("stream.npz"));
-        let custom_data = stiffness.map_or_else(CustomData::new, |e| stated(&e.to_string()));
+        let mut custom_data = stiffness.map_or_else(CustomData::new, |e| stated(&e.to_string()));
+        custom_data.extend(gravity.map(|g| (GRAVITY.to_owned(), g.to_string())));
         write_bag_of(&bag, &frames, custom_data.clone());
         try_export(&bag, ExportFormat::Npz, &file).unwrap();
         let out = folder.path().join("out");

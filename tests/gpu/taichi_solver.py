@@ -14,7 +14,7 @@ import taichi as ti
 sys.path.append(str(Path(__file__).resolve().parents[1] / "peers"))
 from taichi_mpm import Mpm128
 
-STIFFNESS, GRAVITY = 1000.0, 9.8
+STIFFNESS, GRAVITY = 1000.0, -9.8
 
 
 def main():

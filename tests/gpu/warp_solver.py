@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 DEVICE = sys.argv[2] if len(sys.argv) > 2 else "cuda"
-STIFFNESS, NU, GRAVITY = 1000.0, 0.2, 9.8
+STIFFNESS, NU, GRAVITY = 1000.0, 0.2, -9.8
 MU, LAMBDA = STIFFNESS / (2 * (1 + NU)), STIFFNESS * NU / ((1 + NU) * (1 - 2 * NU))
 LIQUID, SNOW, JELLY = 0, 1, 2
 LEAST, MOST = 1.0 - 2.5e-2, 1.0 + 4.5e-3
@@ -98,7 +98,7 @@ def update(momentum: wp.array2d(dtype=wp.vec2), mass: wp.array2d(dtype=float), c
     if mass[i, j] > 0.0:
         v = momentum[i, j] / mass[i, j]
         vx = v[0]
-        vy = v[1] - dt * GRAVITY
+        vy = v[1] + dt * GRAVITY
         if (i < 3 and vx < 0.0) or (i > cells - 3 and vx > 0.0):
             vx = 0.0
         if (j < 3 and vy < 0.0) or (j > cells - 3 and vy > 0.0):

@@ -81,7 +81,7 @@ class Mpm128:
         for i, j in self.grid_m:
             if self.grid_m[i, j] > 0:
                 self.grid_v[i, j] = self.grid_v[i, j] / self.grid_m[i, j]
-                self.grid_v[i, j][1] -= self.dt * self.gravity
+                self.grid_v[i, j][1] += self.dt * self.gravity
                 if i < 3 and self.grid_v[i, j][0] < 0:
                     self.grid_v[i, j][0] = 0
                 if i > self.cells - 3 and self.grid_v[i, j][0] > 0:

@@ -197,7 +197,7 @@ mod tests {
             let mut restarted = restart.begin(&scene, &stream, &stream.states[0]).unwrap();
             // Substeps fall by g dt^2 (1 + 1/n) / 2.
             let rounding = 1.0 + 1.0 / restarted.substeps as f32;
-            let fallen = 0.5 * scene.solver.gravity * dt * dt * rounding;
+            let fallen = -0.5 * scene.solver.gravity * dt * dt * rounding;
             let state = restarted.next_state().unwrap();
             for (after, before) in state.position.iter().zip(&stream.states[0].position) {
                 let moved = [after[0] - before[0], after[1] + fallen - before[1]];

@@ -16,9 +16,9 @@ pub enum ExchangeError {
     /// A bag cannot be read or written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A bag states no usable stiffness.
+    /// A bag states a quantity that is not in its range.
     #[error(transparent)]
-    Stiffness(DatasetError),
+    Stated(DatasetError),
     /// The operating system reports an error.
     #[error("{path}: {action}: {reason}", path = .path.display())]
     Io { path: PathBuf, action: &'static str, reason: io::Error },

@@ -1,6 +1,7 @@
 //! eddy's own arrays: `position` `[T, N, 2]`, `velocity` `[T, N, 2]`, `material` `[N]` (`[T, N]`
 //! where it changes), `stamp` `[T]` (ns), `sequence` `[T]`, `dt` `[]` (s), `lower` `[2]`,
-//! `upper` `[2]`, `stream` `[]`, and `stiffness` `[]` (density x velocity^2) if it is known.
+//! `upper` `[2]`, `stream` `[]`, and if they are known `stiffness` `[]` (density x velocity^2) and `gravity` `[]` (along y, domain
+//! lengths per s^2).
 //!
 //! One file per stream, which is collected in memory because an array has the values of all frames.
 
@@ -12,14 +13,18 @@ use super::{
     streams::{Progress, Streams, Track},
     trajectory::{RawTrajectory, Types},
 };
-use eddy_bag::BagReader;
-use eddy_evaluation::dataset::{simulate::ScenesBeside, stiffness_of_stream};
+use eddy_bag::{BagReader, custom_data::Quantity};
+use eddy_evaluation::dataset::{quantity_of_stream, simulate::ScenesBeside};
+
+/// The arrays of quantities of all matter.
+const QUANTITIES: [(&str, Quantity); 2] =
+    [("stiffness", Quantity::Stiffness), ("gravity", Quantity::Gravity)];
 
 /// Requirements for a stream.
 const RULE: &str = "an .npz file has arrays of one shape, one dt and one domain; \
                     vtu, ply and csv can represent streams that change";
 
-/// Writes one stream. `scenes` are those beside its bag, if that does not say how stiff its matter is.
+/// Writes one stream. `scenes` are those beside its bag, if that does not state the quantities of its matter.
 pub(super) fn write(
     streams: &Streams,
     track: &Track,
@@ -29,8 +34,15 @@ pub(super) fn write(
 ) -> Result<(), ExchangeError> {
     track.check_constant(&["particles", "dt", "domain"], RULE)?;
     let bag = BagReader::open(&track.bag)?;
-    let stiffness = stiffness_of_stream(&bag, track.stream, scenes);
-    let stiffness = stiffness.map_err(ExchangeError::Stiffness)?;
+    let mut stated = |(name, quantity)| {
+        let value = quantity_of_stream(&bag, track.stream, quantity, scenes)?;
+        Ok((name, value))
+    };
+    let stated: Vec<(&str, Option<f32>)> = QUANTITIES
+        .into_iter()
+        .map(&mut stated)
+        .collect::<Result<_, _>>()
+        .map_err(ExchangeError::Stated)?;
     let (frames, particles) = (track.frames, track.particles());
     let (mut position, mut velocity) = (Vec::new(), Vec::new());
     let (mut material, mut stamp, mut sequence) = (Vec::new(), Vec::new(), Vec::new());
@@ -56,8 +68,10 @@ pub(super) fn write(
     archive.array("lower", &[2], track.domain.lower)?;
     archive.array("upper", &[2], track.domain.upper)?;
     archive.array("stream", &[], [track.stream])?;
-    if let Some(stiffness) = stiffness {
-        archive.array("stiffness", &[], [stiffness])?;
+    for (name, value) in stated {
+        if let Some(value) = value {
+            archive.array(name, &[], [value])?;
+        }
     }
     archive.finish()
 }
@@ -82,7 +96,9 @@ pub(super) fn read(path: &Path) -> Result<RawTrajectory, ExchangeError> {
     trajectory.sequence = archive.read("sequence")?;
     trajectory.dt = trajectory.scalar("dt", archive.read::<f32>("dt")?)?;
     trajectory.stream = trajectory.scalar("stream", archive.read("stream")?)?;
-    trajectory.set_stiffness(archive.read("stiffness")?)?;
+    for (name, quantity) in QUANTITIES {
+        trajectory.set_quantity(quantity, name, archive.read(name)?)?;
+    }
     let (lower, upper) = (archive.read("lower")?, archive.read("upper")?);
     trajectory.domain = trajectory.domain_of_corners(lower, upper)?;
     Ok(trajectory)

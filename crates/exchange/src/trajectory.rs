@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{arrays::Array, error::ExchangeError};
-use eddy_bag::custom_data::{CustomData, STIFFNESS, is_stiffness};
+use eddy_bag::custom_data::{CustomData, Quantity};
 use eddy_frames::{Domain, Frame, Material, Stamp};
 
 /// Values that replace those of a file, or that a file does not have.
@@ -15,7 +15,7 @@ pub struct ImportOverrides {
     pub domain: Option<Domain>,
     /// Material of all particles.
     pub material: Option<Material>,
-    /// Entries of `custom_data` in the metadata of each bag, among them the stiffness.
+    /// Entries of `custom_data` in the metadata of each bag, among them stiffness and gravity.
     pub custom_data: CustomData,
 }
 
@@ -62,8 +62,8 @@ pub(super) struct RawTrajectory {
     pub(super) dt: Option<f32>,
     pub(super) domain: Option<Domain>,
     pub(super) stream: Option<u64>,
-    /// Young's modulus of all matter (density x velocity^2).
-    stiffness: Option<f32>,
+    /// What the file says of all matter, as entries of `custom_data`.
+    stated: CustomData,
 }
 
 impl RawTrajectory {
@@ -97,7 +97,7 @@ impl RawTrajectory {
             dt: None,
             domain: None,
             stream: None,
-            stiffness: None,
+            stated: CustomData::new(),
         })
     }
 
@@ -121,21 +121,28 @@ impl RawTrajectory {
         }
     }
 
-    /// Sets the stiffness, a positive number in an array of length 1.
-    pub(super) fn set_stiffness(&mut self, array: Option<Array<f32>>) -> Result<(), ExchangeError> {
-        self.stiffness = self.scalar("stiffness", array)?;
-        match self.stiffness {
-            Some(found) if !is_stiffness(found) => {
-                Err(self.fault("stiffness", found.to_string(), "a positive number"))
-            }
-            _ => Ok(()),
+    /// Sets a quantity of all matter, one number in the array `name`; gravity may be a vector along y, too.
+    pub(super) fn set_quantity(
+        &mut self,
+        quantity: Quantity,
+        name: &str,
+        array: Option<Array<f32>>,
+    ) -> Result<(), ExchangeError> {
+        let array = array.map(|array| match (quantity, array.values.as_slice()) {
+            (Quantity::Gravity, &[0.0, along_y]) => Array { shape: vec![], values: vec![along_y] },
+            _ => array,
+        });
+        let Some(found) = self.scalar(name, array)? else { return Ok(()) };
+        if !quantity.holds(found) {
+            return Err(self.fault(name, found.to_string(), quantity.expected()));
         }
+        self.stated.insert(quantity.key().to_owned(), found.to_string());
+        Ok(())
     }
 
     /// Entries of `custom_data` for the bag: those of the file, and those of `overrides`, which take precedence.
     pub(super) fn custom_data(&self, overrides: &ImportOverrides) -> CustomData {
-        let stated = self.stiffness.map(|stiffness| (STIFFNESS.to_owned(), stiffness.to_string()));
-        stated.into_iter().chain(overrides.custom_data.clone()).collect()
+        self.stated.clone().into_iter().chain(overrides.custom_data.clone()).collect()
     }
 
     /// The domain, if both corners are there.

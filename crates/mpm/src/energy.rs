@@ -64,7 +64,7 @@ impl Energy {
             let affine: f64 = double(particle.affine).as_flattened().iter().map(|c| c * c).sum();
             sum.kinetic += 0.5 * mass * (u * u + v * v + inertia * affine);
             sum.elastic += volume * stored(particle, &moduli);
-            sum.potential += mass * f64::from(settings.gravity) * f64::from(particle.position[1]);
+            sum.potential -= mass * f64::from(settings.gravity) * f64::from(particle.position[1]);
         }
         sum
     }

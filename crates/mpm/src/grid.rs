@@ -117,16 +117,16 @@ impl Grid {
         &self.nodes
     }
 
-    /// Converts momentum to velocity and advances it by `dt` seconds: gravity in -y (domain lengths per s^2), the
-    /// attractor if any, then the walls.
-    pub(super) fn update(&mut self, dt: f32, gravity: f32, attractor: Option<&Attractor>) {
+    /// Converts momentum to velocity and advances it by `dt` seconds: the velocity `fall` along -y that gravity adds (domain lengths
+    /// per s), the attractor if any, then the walls.
+    pub(super) fn update(&mut self, dt: f32, fall: f32, attractor: Option<&Attractor>) {
         let (sides, dx) = (self.sides, self.shape.dx);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node.mass > 0.0) {
                 // A division instead of a multiplication by the inverse: inside a body all nodes have nearly the same
                 // mass, and the same rounding of its inverse everywhere would make momentum drift.
                 let mut velocity = node.motion.map(|momentum| momentum / node.mass);
-                velocity[1] -= dt * gravity;
+                velocity[1] -= fall;
                 if let Some(attractor) = attractor {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];

@@ -78,8 +78,8 @@ pub use step::Step;
 /// Time between two frames (s).
 pub const FRAME_INTERVAL: f32 = 0.016;
 
-/// Acceleration in -y (domain lengths per s^2).
-pub const GRAVITY: f32 = 9.8;
+/// Acceleration along y, negative is down (domain lengths per s^2).
+pub const GRAVITY: f32 = -9.8;
 
 /// Compiles and runs the example of the README.
 #[cfg(doctest)]

@@ -74,7 +74,7 @@ pub struct Scene {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SolverChoices {
-    /// Acceleration in -y (domain lengths per s^2); 9.8 by default.
+    /// Acceleration along y (domain lengths per s^2): 0, or negative, which is down; -9.8 by default.
     pub gravity: f32,
     /// Substeps per frame; the minimum for stability by default.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -129,6 +129,20 @@ impl Default for Frames {
 }
 
 impl Scene {
+    /// Reads the older form of scenes, in which gravity was along -y: a positive number becomes its negative. Returns what the user
+    /// should know if the scene had that form.
+    pub fn read_older_form(&mut self) -> Option<String> {
+        let found = self.solver.gravity;
+        if found.is_nan() || found <= 0.0 {
+            return None;
+        }
+        self.solver.gravity = -found;
+        Some(format!(
+            "solver.gravity: found {found}, read as {}: gravity is along y, and negative is down",
+            -found
+        ))
+    }
+
     /// Distance between neighbouring particles (domain lengths).
     pub fn spacing(&self) -> f32 {
         self.spacing.unwrap_or(0.5 * self.cell_width)
@@ -179,7 +193,14 @@ impl Scene {
     /// [`MpmError::Field`] with the first field that is out of range.
     pub fn check(&self) -> Result<(), MpmError> {
         self.grid()?;
-        finite("solver.gravity", self.solver.gravity.into())?;
+        let gravity = self.solver.gravity;
+        if !(gravity.is_finite() && gravity <= 0.0) {
+            return Err(MpmError::Field {
+                field: "solver.gravity".into(),
+                found: gravity.to_string(),
+                expected: "0 or a negative number: gravity is along y, and negative is down".into(),
+            });
+        }
         let Frames { interval, duration, shortest, rest } = self.frames;
         positive("frames.interval", interval.into(), MAX_TIME)?;
         positive("frames.duration", duration, MAX_TIME)?;

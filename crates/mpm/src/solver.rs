@@ -23,7 +23,7 @@ pub struct SolverSettings {
     pub materials: Materials,
     /// Length of a substep (s), not checked here: see [`minimum_substeps`](super::minimum_substeps).
     pub dt: f32,
-    /// Acceleration in -y (domain lengths per s^2).
+    /// Acceleration along y, negative is down (domain lengths per s^2).
     pub gravity: f32,
     /// Threads that share the work of a substep, at least 1.
     pub threads: usize,
@@ -33,6 +33,12 @@ impl SolverSettings {
     /// Area of an undeformed particle (domain lengths^2).
     pub(super) fn volume(&self) -> f32 {
         self.spacing * self.spacing
+    }
+
+    /// Velocity along -y that gravity adds in a substep (domain lengths per s); not -0 without gravity, which would change the sign of
+    /// velocities of zero.
+    pub(super) fn fall(&self) -> f32 {
+        self.dt * (0.0 - self.gravity)
     }
 }
 
@@ -86,13 +92,13 @@ impl Solver {
     /// # Errors
     /// As [`Solver::run`], except that particles may move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
-        let SolverSettings { dt, gravity, .. } = self.settings;
+        let (dt, fall) = (self.settings.dt, self.settings.fall());
         let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
         let mut grid = Grid::new(self.settings.grid);
         for _ in 0..substeps {
             grid.clear();
             p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
-            grid.update(dt, gravity, self.attractor.as_ref());
+            grid.update(dt, fall, self.attractor.as_ref());
             g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
         }
         Ok(())
@@ -241,7 +247,7 @@ mod tests {
         let mut solver = solver(start.clone(), dt, GRAVITY);
         solver.run(substeps).unwrap();
         let n = substeps as f32;
-        let fallen = GRAVITY * dt * dt * n * (n + 1.0) / 2.0;
+        let fallen = -GRAVITY * dt * dt * n * (n + 1.0) / 2.0;
         for (before, after) in start.iter().zip(solver.particles()) {
             assert!((before.position[1] - after.position[1] - fallen).abs() < 1e-6);
             assert!((before.position[0] - after.position[0]).abs() < 1e-6);

@@ -17,7 +17,7 @@ const LIQUID_CFL: f64 = 0.25;
 /// 1.35 times this value.
 const DIFFUSION: f64 = 0.25;
 /// Maximum number of cells that a particle crosses in a substep.
-const TRAVEL: f64 = 0.5;
+pub(super) const TRAVEL: f64 = 0.5;
 
 /// The minimum number of substeps in `interval` seconds for which the present materials are stable on a grid of cell width
 /// `dx` (domain lengths) with particles of up to `speed` (domain lengths per second), and the limit that determines it.

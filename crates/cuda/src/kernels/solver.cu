@@ -473,7 +473,7 @@ extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __
     if (sum <= 0 || gx >= s.sides[0] || gy >= s.sides[1]) continue;
     const float mass = (float)sum * (1.0f / (float)(1ll << (HIGH_BITS + LOW_BITS)));
     const float unit = (float)sum * s.unit;
-    float vx = (float)sum_x / unit, vy = (float)sum_y / unit - s.dt * s.gravity;
+    float vx = (float)sum_x / unit, vy = (float)sum_y / unit + s.dt * s.gravity;
     if (s.attracted) {
       const float2 pulled = pull(s, (float)gx * s.dx, (float)gy * s.dx);
       vx += s.dt * pulled.x;

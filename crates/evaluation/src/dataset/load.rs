@@ -16,8 +16,8 @@ use xxhash_rust::xxh3::Xxh3;
 use super::{
     DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
     frame_store::{self, BLOCK, Block, StreamLocation},
+    quantities::Stiffnesses,
     statistics::Bounds,
-    stiffness::Stiffnesses,
 };
 use eddy_bag::{BagReader, find_bags};
 use eddy_frames::{Frame, Stamp};

@@ -6,7 +6,7 @@
 //! 4. [`split`]: training, validation and test part, by stream, so that no trajectory is in two parts.
 //! 5. [`statistics`]: range, mean and standard deviation of each feature over the training part.
 //! 6. [`simulate`]: simulated scenes as a data set: one bag each, in a folder that can be resumed.
-//! 7. [`stiffness`]: the sources of a stream's stiffness.
+//! 7. [`quantities`]: the sources of a stream's stiffness and gravity.
 //! 8. [`memory`]: available memory.
 //!
 //! Results computed from a data set are bit-identical whether its frames are in memory or on disk.
@@ -14,10 +14,10 @@
 mod frame_store;
 mod load;
 mod memory;
+mod quantities;
 pub mod simulate;
 mod split;
 mod statistics;
-mod stiffness;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -33,13 +33,16 @@ use sha2::{Digest, Sha256};
 
 pub use frame_store::{CacheUsage, FrameStore};
 pub use memory::available_memory;
+pub use quantities::{quantity_of_stream, stiffness_of};
 pub use split::Part;
 pub use statistics::Bounds;
-pub use stiffness::{stiffness_of, stiffness_of_stream};
 pub use stream::{State, Stream};
 pub use trajectory::Trajectory;
 
-use eddy_bag::{BagError, custom_data::STIFFNESS};
+use eddy_bag::{
+    BagError,
+    custom_data::{Quantity, STIFFNESS},
+};
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::Normalization,
@@ -112,11 +115,16 @@ pub enum DatasetError {
         /// The stream.
         stream: u64,
     },
-    /// The stiffness in the metadata of a bag is not a positive number.
-    #[error("{}/metadata.yaml: custom_data.{STIFFNESS}: found {found:?}, expected a positive number", path.display())]
-    StatedStiffness {
+    /// A quantity in the metadata of a bag is not a number in its range.
+    #[error(
+        "{}/metadata.yaml: custom_data.{}: found {found:?}, expected {}",
+        path.display(), quantity.key(), quantity.expected()
+    )]
+    Stated {
         /// The bag.
         path: PathBuf,
+        /// The quantity.
+        quantity: Quantity,
         /// The value.
         found: String,
     },

@@ -85,8 +85,8 @@ pub(super) struct Forces {
     dx: f32,
     /// Length of the substep (s).
     dt: f32,
-    /// Acceleration in -y (domain lengths per s^2).
-    gravity: f32,
+    /// Velocity along -y that gravity adds (domain lengths per s).
+    fall: f32,
     attractor: Option<Attractor>,
 }
 
@@ -113,11 +113,11 @@ impl Walls {
 impl Forces {
     /// The forces in a simulation with these settings.
     pub(super) fn new(settings: &SolverSettings, attractor: Option<Attractor>) -> Self {
-        let SolverSettings { grid: shape, dt, gravity, .. } = *settings;
+        let SolverSettings { grid: shape, dt, .. } = *settings;
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let rows = sides[0];
         let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));
-        Self { walls, rows, dx: shape.dx, dt, gravity, attractor }
+        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor }
     }
 
     /// Velocity that an attractor adds to the nodes of a row in a substep.
@@ -157,7 +157,7 @@ impl Work for Update<'_> {
         }
         let at_wall = usize::from(row >= WALL_CELLS) + usize::from(row + WALL_CELLS >= forces.rows);
         let Walls { least, most } = &forces.walls[at_wall];
-        let fall = simd.repeat(&[0.0, forces.dt * forces.gravity]);
+        let fall = simd.repeat(&[0.0, forces.fall]);
         let lightest = simd.splat_pairs(f32::MIN_POSITIVE);
         let fours = groups(&sum.momentum[from..])
             .zip(groups(&sum.mass[from..]))

@@ -45,11 +45,11 @@ fn the_pressure_of_a_column_at_rest_is_the_weight_above() {
     }
     for (layer, (sum, count)) in sum.into_iter().enumerate().filter(|(_, sum)| sum.1 > 0) {
         let depth = height * (1.0 - (layer as f32 + 0.5) / layers as f32);
-        let error = sum / count as f32 - GRAVITY * depth;
+        let error = sum / count as f32 + GRAVITY * depth;
         squares += error * error;
         rows += 1;
     }
-    let rms = (squares / rows as f32).sqrt() / (GRAVITY * height);
+    let rms = (squares / rows as f32).sqrt() / (-GRAVITY * height);
     println!("column: RMS error {rms} of rho g H");
     assert!(rows >= layers - 1, "{rows}");
     assert!(rms < 0.05, "{rms}");
@@ -143,7 +143,7 @@ fn broken_dam() -> Vec<[f32; 2]> {
         let farthest = particles.iter().map(|p| p.position[0]).filter(thick).fold(0.0, f32::max);
         (farthest + 0.5 * settings.spacing - wall) / base
     };
-    let unit = (base / (2.0 * GRAVITY)).sqrt();
+    let unit = (base / (-2.0 * GRAVITY)).sqrt();
     let mut seen = Vec::new();
     for substep in 1.. {
         solver.run(8).unwrap();

@@ -11,7 +11,8 @@ use std::{
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{SimulateError, directory, staging::INCOMPLETE};
+use super::{SimulateError, directory, older_form, staging::INCOMPLETE};
+use eddy_bag::custom_data::Quantity;
 use eddy_frames::Material;
 use eddy_mpm::{Energy, Scene, Settings, Simulation};
 use eddy_settings::atomic;
@@ -282,21 +283,28 @@ impl ScenesBeside {
         Ok(self.0.get(folder).and_then(|scenes| scenes.get(&stream)))
     }
 
-    /// The stiffness of a stream (density x velocity^2), if `eddy simulate` has written its bag: its manifest must have the scene,
-    /// and the bag its name.
-    pub(crate) fn stiffness(&mut self, bag: &Path, stream: u64) -> Option<f32> {
+    /// A quantity of a stream, if `eddy simulate` has written its bag: its manifest must have the scene, and the bag its name.
+    pub(crate) fn quantity(&mut self, bag: &Path, stream: u64, quantity: Quantity) -> Option<f32> {
         if bag.file_name()? != directory(stream).as_str() {
             return None;
         }
         match self.of(bag, stream) {
-            Ok(scene) => scene.map(|scene| scene.materials.stiffness),
+            Ok(scene) => scene.map(|scene| of_scene(scene, quantity)),
             Err(error) => {
                 // A network that needs the stiffness reports that it is missing.
-                tracing::debug!("{error}: the stiffness of its scenes is not known");
+                tracing::debug!("{error}: stiffness and gravity of its scenes are not known");
                 self.0.insert(bag.parent()?.to_owned(), BTreeMap::new());
                 None
             }
         }
+    }
+}
+
+/// A quantity of the matter in a scene.
+pub(super) fn of_scene(scene: &Scene, quantity: Quantity) -> f32 {
+    match quantity {
+        Quantity::Stiffness => scene.materials.stiffness,
+        Quantity::Gravity => scene.solver.gravity,
     }
 }
 
@@ -324,8 +332,11 @@ fn read(file: &Path) -> Result<Option<Manifest>, SimulateError> {
             Err(reason) => return Err(failed()(reason)),
         }
     };
-    let found: Manifest = serde_json::from_slice(&text)
+    let mut found: Manifest = serde_json::from_slice(&text)
         .map_err(|reason| SimulateError::NoManifest { file: file.to_owned(), reason })?;
+    for scene in &mut found.scenes {
+        older_form::read(&mut scene.start.scene, file.display());
+    }
     Ok(Some(Manifest { version, ..found }))
 }
 

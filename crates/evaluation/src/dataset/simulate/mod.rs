@@ -13,6 +13,7 @@
 
 mod error;
 mod manifest;
+mod older_form;
 mod plan;
 mod recording;
 mod side_by_side;
@@ -87,6 +88,16 @@ impl SimulationRequest {
             return rejected("threads", threads, "1 to 1024");
         }
         Ok(())
+    }
+
+    /// The request with a scene in the present form.
+    fn in_present_form(&self) -> Self {
+        let mut request = self.clone();
+        if let Source::Written(scene) = &mut request.source {
+            let source = self.scene_name.as_ref().unwrap_or(&self.name);
+            older_form::read(scene, source);
+        }
+        request
     }
 
     /// The part that the manifest records.
@@ -221,6 +232,7 @@ impl Job {
         at_once: Option<usize>,
     ) -> Result<Self, SimulateError> {
         request.check()?;
+        let request = &request.in_present_form();
         // Zero means one per core, or RAYON_NUM_THREADS.
         let threads = request.threads.map_or(0, NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;

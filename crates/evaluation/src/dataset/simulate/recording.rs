@@ -9,11 +9,11 @@ use sha2::{Digest, Sha256};
 
 use super::{
     SimulateError, directory,
-    manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start},
+    manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start, of_scene},
     staging::Staging,
 };
 use crate::dataset::{FIELDS_TOPIC, TRUTH_TOPIC};
-use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions, custom_data::STIFFNESS};
+use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions, custom_data::Quantity};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
 use eddy_mpm::{ParticleState, Simulation};
@@ -107,7 +107,9 @@ impl Recording {
     pub fn begin(store: &Store, start: &Start) -> Result<Self, SimulateError> {
         let place = store.staging.place(&directory(start.id))?;
         let mut writer = BagWriter::create(&place, WriterOptions::default())?;
-        writer.set_custom_data(STIFFNESS, start.scene.materials.stiffness.to_string());
+        for quantity in Quantity::ALL {
+            writer.set_custom_data(quantity.key(), of_scene(&start.scene, quantity).to_string());
+        }
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
         let fields = store
             .records_fields
