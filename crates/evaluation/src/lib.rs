@@ -63,7 +63,10 @@ pub use errors::{ErrorSums, Errors, Units};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};
 pub use kind::Kind;
 pub use linear_fit::LinearFit;
-pub use measure::{BlowUps, Bulk, FlightSums, Mean, Physics, SHOWN_FRAMES};
+pub use measure::{
+    BlowUps, Bulk, FlightSums, Mean, Physics, SETTLED_AVERAGED, SETTLED_FRAMES, SETTLED_START,
+    SHOWN_FRAMES, Settled, SettledState,
+};
 pub use predictor::Predictor;
 pub use recorded::{Recorded, RecordedError};
 pub use references::Reference;

@@ -3,8 +3,8 @@
 use super::{
     Context, ErrorSums, EvalError, Kind, Outcome, Predictor, Rollout,
     measure::{
-        BlowUps, Bulk, FlightSums, Flights, Physics, RestGeometry, SHOWN_FRAMES, TruthWindow,
-        energy_limit,
+        BlowUps, Bulk, FlightSums, Flights, Physics, RestGeometry, SHOWN_FRAMES, Settled,
+        TruthWindow, energy_limit,
     },
     predictor::RolloutOutcome,
     steps::{StepResults, StepSums},
@@ -95,6 +95,8 @@ pub struct SceneResult {
     pub complete: usize,
     /// One per predictor.
     pub accumulators: Vec<Accumulator>,
+    /// What becomes of the stream in a long rollout of each predictor; empty if it is too short or measures are not requested.
+    pub settled: Vec<Option<Settled>>,
 }
 
 impl SceneResult {
@@ -126,12 +128,13 @@ pub fn evaluate_scene(
     let compared: Vec<usize> = shown.map(compared).collect();
     let after_last = stream.states.len().saturating_sub(1 + starts.iter().max().unwrap_or(&0));
     let complete = after_last.min(horizon);
-    let result = |starts: Vec<usize>, accumulators: Vec<Accumulator>| {
+    let result = |starts: Vec<usize>, accumulators: Vec<Accumulator>, settled| {
         let (id, name, materials) = (stream.id, stream.name(), stream.materials());
-        SceneResult { id, name, materials, starts, kind, compared, complete, accumulators }
+        SceneResult { id, name, materials, starts, kind, compared, complete, accumulators, settled }
     };
     if starts.is_empty() {
-        return Ok(result(starts, vec![Accumulator::new(context); predictors.len()]));
+        let empty = vec![Accumulator::new(context); predictors.len()];
+        return Ok(result(starts, empty, Vec::new()));
     }
     let rest = context.settings.measures.then(|| RestGeometry::new(context, stream));
     let energy_limit = energy_limit(context, stream);
@@ -165,7 +168,14 @@ pub fn evaluate_scene(
         Ok(accumulator)
     };
     let accumulators = predictors.iter().map(evaluate).collect::<Result<_, EvalError>>()?;
-    Ok(result(starts, accumulators))
+    let settled = match context.settings.measures && Settled::has_room(stream) {
+        true => {
+            let measure = |predictor| Settled::measure(context, predictor, stream);
+            predictors.iter().map(measure).collect::<Result<_, EvalError>>()?
+        }
+        false => Vec::new(),
+    };
+    Ok(result(starts, accumulators, settled))
 }
 
 #[cfg(test)]

@@ -6,12 +6,14 @@
 //! 4. `area`: the area that liquids occupy.
 //! 5. `stretch`: stretch and distortion of rope and jelly.
 //! 6. `blow_up`: rollouts that diverge, gain energy or end far from the truth.
+//! 7. `settled`: what becomes of slow and settled states in a long rollout.
 
 mod area;
 mod blow_up;
 pub(super) mod bulk;
 mod density;
 mod flight;
+mod settled;
 mod stretch;
 
 use super::{Context, Rollout, errors::square, mean_squared_distance};
@@ -23,6 +25,7 @@ pub(super) use blow_up::energy_limit;
 pub use bulk::Bulk;
 pub use flight::FlightSums;
 pub(super) use flight::Flights;
+pub use settled::{SETTLED_AVERAGED, SETTLED_FRAMES, SETTLED_START, Settled, SettledState};
 
 /// The frames ahead at which measures are computed and tables show values.
 pub const SHOWN_FRAMES: [usize; 6] = [1, 5, 10, 20, 50, 100];

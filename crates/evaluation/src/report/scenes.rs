@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Errors, Kind, SceneResult, numbers};
+use crate::{Errors, Kind, SceneResult, Settled, numbers};
 use eddy_frames::Material;
 
 /// Maximum number of frames ahead with errors by scene: the length of the paper's rollouts.
@@ -23,6 +23,9 @@ pub struct SceneEntry {
     pub starts: Vec<usize>,
     /// Errors of every predictor.
     pub errors: Vec<SceneErrors>,
+    /// What becomes of the scene in a long rollout of every predictor, `null` for those without one; absent if the stream is too short.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub settled: Vec<Option<Settled>>,
 }
 
 /// Errors of free rollouts in one scene: means over windows and particles, one number per frame ahead, up to frame 20.
@@ -56,6 +59,7 @@ impl SceneEntry {
             materials: scene.materials.clone(),
             starts: scene.starts.clone(),
             errors: errors.collect(),
+            settled: scene.settled.clone(),
         }
     }
 

@@ -51,6 +51,9 @@ impl Report {
             tables.extend(self.measure_tables());
             tables.push(self.flight_table());
         }
+        if self.has_settled() {
+            tables.extend(self.settled_tables());
+        }
         if self.has_costs() {
             tables.push(self.cost_table());
         }

@@ -4,11 +4,12 @@
 //! 2. `paper`: the paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
 //! 3. `errors`: free-rollout and one-step errors over the frames ahead.
 //! 4. `physics`: density, kinetic energy, centre of mass, share outside the walls.
-//! 5. `pictures`: pictures of rollouts (Fig. 7).
-//! 6. `kinds`: results by kind of scene and by material.
-//! 7. `cost`: time per frame.
-//! 8. `reliability`: how well estimates of errors hold.
-//! 9. `reproduce`: command, data and settings.
+//! 5. `settled`: slow and settled states in long rollouts.
+//! 6. `pictures`: pictures of rollouts (Fig. 7).
+//! 7. `kinds`: results by kind of scene and by material.
+//! 8. `cost`: time per frame.
+//! 9. `reliability`: how well estimates of errors hold.
+//! 10. `reproduce`: command, data and settings.
 
 mod cost;
 mod errors;
@@ -18,6 +19,7 @@ mod physics;
 mod pictures;
 mod reliability;
 mod reproduce;
+mod settled;
 mod summary;
 
 use std::io;
@@ -53,6 +55,9 @@ impl Report {
         self.step_errors(page.section("One-step, accumulated and free-rollout error"));
         if self.has_measures() {
             self.physics(page.section("Physical consistency"));
+        }
+        if self.has_settled() {
+            self.settled(page.section("Settled and slow states"));
         }
         if !self.snapshots.1.is_empty() {
             self.pictures(page.section("Truth and prediction"))?;
@@ -163,6 +168,10 @@ pub(super) fn error(number: f64) -> String {
 
 pub(super) fn percent(number: f64) -> String {
     shown(number, |x| format!("{:.1} %", 100.0 * x))
+}
+
+pub(super) fn ratio(number: f64) -> String {
+    shown(number, |x| format!("{x:.3}"))
 }
 
 pub(super) fn milliseconds(number: f64) -> String {

@@ -2,7 +2,7 @@
 
 use super::{
     super::{curves::BulkCurves, measures::Measures},
-    Entry, Report, error, error_axis, frames_ahead, percent, shown,
+    Entry, Report, error, error_axis, frames_ahead, percent, ratio,
 };
 use crate::page::{Axis, LinePlot, Section, Series, Table};
 
@@ -119,8 +119,4 @@ impl Report {
         }
         table
     }
-}
-
-fn ratio(number: f64) -> String {
-    shown(number, |x| format!("{x:.3}"))
 }
