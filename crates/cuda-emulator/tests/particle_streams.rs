@@ -125,6 +125,65 @@ fn jelly_moves_by_its_elasticity_as_it_does_on_the_processor() {
     }
 }
 
+/// Jelly of 12 x 8 particles at a place, more of it beside, and particles around, most of them as far away as where they keep the rule
+/// `elastic` from moving jelly, some inside and some outside the domain.
+fn surrounded_jelly() -> impl Strategy<Value = Frame> {
+    const SPACING: f32 = 0.02;
+    let place = prop::array::uniform2(0.2f32..0.7);
+    let beside = prop::array::uniform2(-0.45f32..0.45);
+    let around = prop::collection::vec((0.0f32..1.0, 0.05f32..0.25), 0..4);
+    let domain = (prop::array::uniform2(-0.3f32..0.0), prop::array::uniform2(1.3f32..2.5));
+    (place, beside, around, domain).prop_map(|(place, beside, around, (lower, size))| {
+        let block = |corner: [f32; 2]| {
+            let at = |k: u8| [f32::from(k % 12), f32::from(k / 12)];
+            (0..96).map(move |k| [0, 1].map(|axis| corner[axis] + SPACING * at(k)[axis]))
+        };
+        // At a share of the way around the block, at a distance from its side.
+        let [wide, high] = [11.0 * SPACING, 7.0 * SPACING];
+        let around = around.into_iter().map(|(share, distance)| {
+            let (side, along) = ((4.0 * share) as u8, (4.0 * share).fract());
+            let [x, y] = match side {
+                0 => [along * wide, -distance],
+                1 => [along * wide, high + distance],
+                2 => [-distance, along * high],
+                _ => [wide + distance, along * high],
+            };
+            [place[0] + x, place[1] + y]
+        });
+        let other = [place[0] + beside[0], place[1] + beside[1]];
+        let mut position: Vec<_> = block(place).chain(block(other)).collect();
+        let mut material = vec![Material::Jelly; position.len()];
+        position.extend(around);
+        material.resize(position.len(), Material::Liquid);
+        Frame {
+            velocity: position.iter().map(|[x, y]| [0.5 * y, -1.0 - x]).collect(),
+            domain: Domain { lower, upper: [lower[0] + size[0], lower[1] + size[1]] },
+            position,
+            material,
+            ..frames(1, 0, 0).remove(0)
+        }
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    /// The processor looks at every particle, the device at those of the cells around.
+    #[test]
+    fn jelly_has_the_same_particles_close_as_on_the_processor(frame in surrounded_jelly()) {
+        let plain = Description { rules: Rules::default(), ..small(Core::MinGru).description };
+        let checkpoint = checkpoint(elastic(&plain), 3);
+        let frames = [frame];
+        let [expected] = &predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames)[..]
+        else {
+            panic!("one frame")
+        };
+        let found = &predict(&emulated(&checkpoint), &frames)[0];
+        let apart = apart(found, expected);
+        prop_assert!(apart <= 2e-4, "{apart} apart");
+    }
+}
+
 /// A checkpoint with narrow layers.
 fn small(core: Core) -> Checkpoint {
     let sizes = Sizes { encoder: 10, hidden: 13, layers: 2, particles: None };

@@ -33,6 +33,8 @@ struct Lattice {
   int steps, unused;
 };
 #define ELASTIC_THREADS 512
+// Threads that look around a part of the surface.
+#define PART_THREADS 8
 // Largest change of a node's velocity, speed away from a wall from which on it pushes least: `FASTEST` and `REBOUNDING` of eddy-inference.
 #define FASTEST 64.0f
 #define REBOUNDING 0.1f
@@ -142,6 +144,29 @@ __device__ __forceinline__ float weighted_distance(const Lattice& l, u32 node, c
   return (x * x + y * y) / l.inverse_mass[node];
 }
 
+// Whether a particle of no or another body than `number` is closer than `reach` to a place: thread `lane` of PART_THREADS looks at its share of
+// the cells around. Rounding keeps the order of numbers, so that no particle outside of them can be as close.
+__device__ __forceinline__ bool is_close(const Stream& s, u32 number, float2 place, float reach, u32 lane) {
+  Body low, high;
+  low.x[0] = place.x - reach;
+  low.x[1] = place.y - reach;
+  high.x[0] = place.x + reach;
+  high.x[1] = place.y + reach;
+  const u32 left = cell_along(s, low, 0), right = cell_along(s, high, 0), top = cell_along(s, high, 1);
+  for (u32 row = cell_along(s, low, 1); row <= top; row++) {
+    const u32* starts = s.starts + row * s.across;
+    const u32 end = starts[right + 1];
+#pragma unroll 2
+    for (u32 slot = starts[left] + lane; slot < end; slot += PART_THREADS) {
+      const u32 p = s.order[slot];
+      const Body other = s.bodies[p];
+      const float x = place.x - other.x[0], y = place.y - other.x[1];
+      if (x * x + y * y < reach * reach && s.body_of[p] != number) return true;
+    }
+  }
+  return false;
+}
+
 // The motion of body number `number` of a stream by a block of ELASTIC_THREADS, to the prediction: nothing while another particle is close, if it is torn,
 // or if its nodes are not where they were expected.
 __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l, u32 number) {
@@ -206,17 +231,8 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
   const int is_torn = stops;
   __syncthreads();
   if (is_torn) return;
-  for (u32 p = threadIdx.x; p < s.particles; p += ELASTIC_THREADS) {
-    if (s.body_of[p] == number) continue;
-    const Body other = s.bodies[p];
-    int found = 0;
-#pragma unroll 4
-    for (u32 i = 0; i < parts; i++) {
-      const float x = places[i].x - other.x[0], y = places[i].y - other.x[1];
-      found |= x * x + y * y < l.clear_distance * l.clear_distance;
-    }
-    if (found) stops = 1;
-  }
+  for (u32 i = threadIdx.x / PART_THREADS; i < parts; i += ELASTIC_THREADS / PART_THREADS)
+    if (is_close(s, number, places[i], l.clear_distance, threadIdx.x % PART_THREADS)) stops = 1;
   __syncthreads();
   const int stays = stops;
   __syncthreads();
@@ -284,7 +300,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
   }
 }
 
-// grid (any, B), block ELASTIC_THREADS
+// A block has a body. grid (bodies, B), block ELASTIC_THREADS
 extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) particle_elastic(const Stream* __restrict__ streams) {
   const Stream& s = streams[blockIdx.y];
   for (u32 body = blockIdx.x; body < (u32)s.lattice_count; body += gridDim.x) elastic_motion(s, s.lattices[body], body);

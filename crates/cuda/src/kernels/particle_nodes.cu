@@ -106,6 +106,10 @@ template <class S> __device__ __forceinline__ float cell_place(const S& s, const
 }
 // The first node of the stencil on an axis, from there on.
 __device__ __forceinline__ float stencil(float place) { return floorf(place - 0.5f); }
+// Column or row of a particle's cell in the map of level 0.
+template <class S> __device__ __forceinline__ u32 cell_along(const S& s, const Body& body, int axis) {
+  return (u32)((int)stencil(cell_place(s, body, axis)) + ORIGIN);
+}
 
 // Frames from the memory of the host; the particles of each cell; marks for the nodes they touch.
 // grid (ceil(n / 256), B), block 256
@@ -119,7 +123,7 @@ extern "C" __global__ void __launch_bounds__(256) particle_load(const Stream* __
     s.bodies[p] = body;
     u32 at[2];
 #pragma unroll
-    for (int a = 0; a < 2; a++) at[a] = (u32)((int)stencil(cell_place(s, body, a)) + ORIGIN);
+    for (int a = 0; a < 2; a++) at[a] = cell_along(s, body, a);
     const u32 cell = at[1] * across + at[0], arrival = atomicAdd(s.counts + cell, 1u);
     s.cells[p] = cell;
     s.arrivals[p] = arrival;

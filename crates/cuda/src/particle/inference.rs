@@ -30,7 +30,7 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    lattice::{ELASTIC_BLOCKS, ELASTIC_THREADS},
+    lattice::ELASTIC_THREADS,
     layout::{Constants, Layout, NODE_THREADS},
     stream::{Memory, RULES, Row, Scales, Size},
 };
@@ -78,6 +78,8 @@ struct Extent {
     cells: usize,
     chunks: usize,
     area: usize,
+    /// Bodies of jelly of the stream that has the most, rounded up.
+    bodies: usize,
     /// Shared memory of a block that solves the area rule's pressure (bytes), where that is small for all streams.
     solve: Option<usize>,
 }
@@ -272,6 +274,7 @@ impl Inference {
             cells: most(&Size::cells),
             chunks: most(&Size::chunks),
             area: most(&Size::area_nodes),
+            bodies: most(&|size| size.lattices.bodies),
             solve: Some(12 * most(&Size::area_nodes) + 8).filter(|&bytes| bytes <= SOLVE),
         };
         self.graphs.run(&*self.device, extent, || self.launch_all(extent))?;
@@ -333,13 +336,13 @@ impl Inference {
         by_particle: Shape,
         blocks: &dyn Fn(usize, usize) -> usize,
     ) -> Result<()> {
-        let Extent { streams, nodes, cells, area, solve, .. } = extent;
+        let Extent { streams, nodes, cells, area, bodies, solve, .. } = extent;
         let checkpoint::Rules { elastic, area: area_rule, shape, rest, .. } = self.scales.rules;
         let (rows, rules): (Argument, Argument) =
             (self.rows.address().into(), self.rules.address().into());
         let all = [rows, rules];
         if elastic.is_some() {
-            let by_body = Shape::new(ELASTIC_BLOCKS, streams, ELASTIC_THREADS);
+            let by_body = Shape::new(blocks(bodies, 1), streams, ELASTIC_THREADS);
             self.launch(Kernel::ParticleElastic, by_body, &[rows])?;
         }
         if let Some(rule) = area_rule {

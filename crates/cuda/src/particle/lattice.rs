@@ -12,9 +12,6 @@ use crate::{
 /// Threads of a block of `particle_elastic`, which advances a body.
 pub(super) const ELASTIC_THREADS: usize = 512;
 
-/// Blocks of a stream; further bodies follow in them.
-pub(super) const ELASTIC_BLOCKS: usize = 4;
-
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 const MOST_NODES: usize = 2048;
 
@@ -50,14 +47,22 @@ unsafe impl bytemuck::Zeroable for DeviceLattice {}
 // SAFETY: as above.
 unsafe impl bytemuck::Pod for DeviceLattice {}
 
+/// What the memory of a stream's lattices depends on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct LatticeSize {
+    pub(super) bodies: usize,
+    /// Nodes of all bodies.
+    pub(super) nodes: usize,
+    /// Numbers of 4 bytes of the forces of all bodies.
+    pub(super) forces: usize,
+}
+
 /// The lattices of a stream on a device.
 pub(super) struct DeviceLattices {
     /// `struct Lattice` of each body.
     table: Buffer,
     lists: Buffer,
-    pub(super) bodies: usize,
-    /// Nodes of all bodies, and numbers of 4 bytes of their forces.
-    pub(super) scratch: [usize; 2],
+    pub(super) size: LatticeSize,
 }
 
 impl DeviceLattices {
@@ -72,21 +77,22 @@ impl DeviceLattices {
         }
         // The list of the particles' bodies is the first one.
         let mut words = lattices.body_of().to_vec();
-        let (mut table, mut scratch) = (Vec::new(), [0; 2]);
+        let (mut table, mut size) = (Vec::new(), LatticeSize::default());
         for body in bodies {
             let lists = append(body, &mut words)?;
-            table.push((body, lists, scratch));
-            let forces = body.points().len() + body.surface().len();
-            scratch = [scratch[0] + body.inverse_mass().len(), scratch[1] + 8 * forces];
+            table.push((body, lists, size));
+            size.bodies += 1;
+            size.nodes += body.inverse_mass().len();
+            size.forces += 8 * (body.points().len() + body.surface().len());
         }
         let lists = device.allocate(size_of_val(&*words))?;
         device.write(&lists, 0, bytemuck::cast_slice(&words))?;
         let on_device =
-            |&(body, places, first): &_| on_device(body, places, first, lists.address());
+            |&(body, places, before): &_| on_device(body, places, before, lists.address());
         let rows: Vec<_> = table.iter().map(on_device).collect();
         let table = device.allocate(size_of_val(&*rows))?;
         device.write(&table, 0, bytemuck::cast_slice(&rows))?;
-        Ok(Some(Self { table, lists, bodies: bodies.len(), scratch }))
+        Ok(Some(Self { table, lists, size }))
     }
 
     /// Of the table, and of the number of each particle's body.
@@ -138,11 +144,11 @@ fn append(lattice: &Lattice, words: &mut Vec<u32>) -> Result<[usize; 10]> {
     ])
 }
 
-/// As the kernels have it, where the lists begin at `words` and its scratch memory at these numbers of nodes and forces.
+/// As the kernels have it, where the lists begin at `words` and its scratch memory behind that of the bodies `before`.
 fn on_device(
     lattice: &Lattice,
     lists: [usize; 10],
-    [first_node, first_force]: [usize; 2],
+    before: LatticeSize,
     words: Address,
 ) -> DeviceLattice {
     let Elasticity { lame, viscosity, wall_distance, wall_stiffness, .. } = *lattice.elasticity();
@@ -154,8 +160,8 @@ fn on_device(
         nodes: lattice.inverse_mass().len() as u32,
         points: lattice.points().len() as u32,
         parts: lattice.surface().len() as u32,
-        first_node: first_node as u32,
-        first_force: first_force as u32,
+        first_node: before.nodes as u32,
+        first_force: before.forces as u32,
         lame,
         viscosity,
         wall_distance,

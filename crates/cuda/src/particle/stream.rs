@@ -14,7 +14,10 @@ use eddy_inference::{
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
 
-use super::{lattice::DeviceLattices, layout::Constants};
+use super::{
+    lattice::{DeviceLattices, LatticeSize},
+    layout::Constants,
+};
 use crate::{
     device::{Address, Buffer, Device, Queue},
     error::Result,
@@ -176,15 +179,15 @@ pub(super) struct Size {
     /// Whether the rules for shapes and for bodies are on.
     shapes: bool,
     bodies: bool,
-    /// Nodes of its lattices, and numbers of 4 bytes of their forces; none where the rule `elastic` is off.
-    lattices: [usize; 2],
+    /// None where the rule `elastic` is off.
+    pub(super) lattices: LatticeSize,
 }
 
 impl Size {
     /// Of a stream in a domain.
     pub(super) fn new(
         particles: usize,
-        lattices: [usize; 2],
+        lattices: LatticeSize,
         domain: &Domain,
         scales: &Scales,
     ) -> Self {
@@ -284,7 +287,7 @@ impl Size {
             // Each has at least the nodes of one stencil.
             row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
         }
-        let [nodes, forces] = self.lattices;
+        let LatticeSize { nodes, forces, .. } = self.lattices;
         if nodes > 0 {
             row.residuals = places.next(BODY * n);
             row.lattice_nodes = places.next(2 * BODY * nodes);
@@ -346,7 +349,8 @@ impl Memory {
         let particles = stream.material.len();
         let states = constants.states() * particles * constants.hidden_columns();
         let fixed = Arc::new(Fixed::new(&*device, stream)?);
-        let expected = fixed.lattices.as_ref().map_or(0, |own| 2 * own.scratch[0] + own.bodies);
+        let LatticeSize { bodies, nodes, .. } = fixed.lattice_size();
+        let expected = 2 * nodes + bodies;
         let buffer = device.allocate(4 * (states + 2 * particles + expected).max(1))?;
         Ok(Self { device, fixed, buffer, particles, begun: AtomicBool::new(false) })
     }
@@ -355,9 +359,9 @@ impl Memory {
         self.particles
     }
 
-    /// Nodes of its lattices, and numbers of 4 bytes of their forces.
-    pub(super) fn lattices(&self) -> [usize; 2] {
-        self.fixed.lattices.as_ref().map_or([0; 2], |lattices| lattices.scratch)
+    /// The size of its lattices.
+    pub(super) fn lattices(&self) -> LatticeSize {
+        self.fixed.lattice_size()
     }
 
     /// That the coming frame is not the first.
@@ -403,7 +407,7 @@ impl Memory {
             hidden: self.buffer.address().0,
             expected: expected.0,
             lattice_places: places.0,
-            lattice_errors: places.plus(2 * size.lattices[0]).0,
+            lattice_errors: places.plus(2 * size.lattices.nodes).0,
             first: self.fixed.first,
             links: self.fixed.links,
             neighbours: self.fixed.neighbours,
@@ -426,7 +430,7 @@ impl Memory {
             area_walls,
             stiffness: self.fixed.stiffness,
             lattices,
-            lattice_count: own.map_or(0, |own| own.bodies as u64),
+            lattice_count: size.lattices.bodies as u64,
             body_of,
             ..row
         }
@@ -509,5 +513,9 @@ impl Fixed {
         let stiffness = stiffness.unwrap_or_default();
         let lattices = DeviceLattices::new(device, lattices)?;
         Ok(Self { first, links, neighbours, stiffness, lattices, buffer })
+    }
+
+    fn lattice_size(&self) -> LatticeSize {
+        self.lattices.as_ref().map(|lattices| lattices.size).unwrap_or_default()
     }
 }
