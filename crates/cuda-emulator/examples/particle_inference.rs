@@ -1,7 +1,7 @@
 //! The particle model on NVIDIA GPUs: `check` compares predictions with those of the processor, alone and beside other
 //! streams, in two runs; `time` measures frames from the memory of the host to the memory of the host; `growth` measures large streams, and
-//! fails if a particle of 400,000 costs twice as much as one of 100,000; `once FOLDER N` steps a stream of N x N x 2,500 particles a few
-//! times, for profilers. FOLDER is that of a checkpoint.
+//! fails if a particle of 400,000 costs twice as much as one of 100,000; `once FOLDER N FRAMES` steps a stream of N x N x 2,500 particles so
+//! often, for profilers. FOLDER is that of a checkpoint.
 
 #[path = "problem/mod.rs"]
 #[expect(dead_code, reason = "the example of the training uses more of it")]
@@ -30,8 +30,12 @@ fn main() -> Result<()> {
         ["check", folder] => check(&Checkpoint::load(Path::new(folder))?),
         ["time", folder] => time(&Checkpoint::load(Path::new(folder))?),
         ["growth", folder] => growth(&Checkpoint::load(Path::new(folder))?),
-        ["once", folder, scenes] => once(&Checkpoint::load(Path::new(folder))?, scenes.parse()?),
-        _ => Err("expected check FOLDER, time FOLDER, growth FOLDER or once FOLDER N".into()),
+        ["once", folder, scenes, frames] => {
+            once(&Checkpoint::load(Path::new(folder))?, scenes.parse()?, frames.parse()?)
+        }
+        _ => {
+            Err("expected check FOLDER, time FOLDER, growth FOLDER or once FOLDER N FRAMES".into())
+        }
     }
 }
 
@@ -299,9 +303,9 @@ fn growth(shipped: &Checkpoint) -> Result<()> {
     Ok(())
 }
 
-fn once(shipped: &Checkpoint, scenes_across: usize) -> Result<()> {
+fn once(shipped: &Checkpoint, scenes_across: usize, count: usize) -> Result<()> {
     let gpu = on_gpu(shipped)?;
     let frames = [scenes(1, [scenes_across; 2])];
-    roll(&gpu, &frames, 1)?;
+    roll(&gpu, &frames, count)?;
     Ok(())
 }

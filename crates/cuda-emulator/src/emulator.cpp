@@ -63,10 +63,12 @@ static void wait_for(Wait whom);
 // A warp's exchange of numbers.
 static float lanes[1024][6];
 static unsigned thread_number() { return threadIdx.y * blockDim.x + threadIdx.x; }
-static float exchange_lanes(float v, int mask) {
-  lanes[thread_number()][0] = v;
+template <class T> static T exchange_lanes(T v, int mask) {
+  static_assert(sizeof v <= sizeof lanes[0], "what a lane passes on");
+  T found;
+  std::memcpy(lanes[thread_number()], &v, sizeof v);
   wait_for(FOR_WARP);
-  const float found = lanes[thread_number() ^ mask][0];
+  std::memcpy(&found, lanes[thread_number() ^ mask], sizeof v);
   wait_for(FOR_WARP);
   return found;
 }

@@ -34,7 +34,7 @@ __device__ __forceinline__ float exp2_approximate(float v) {
   return r;
 }
 #define divide(a, b) __fdividef(a, b)
-__device__ __forceinline__ float shuffle_xor(float v, int mask) { return __shfl_xor_sync(0xffffffffu, v, mask); }
+template <class T> __device__ __forceinline__ T shuffle_xor(T v, int mask) { return __shfl_xor_sync(0xffffffffu, v, mask); }
 // The nearest number with 10 bits of mantissa.
 __device__ __forceinline__ float round_tf32(float v) { return __uint_as_float((__float_as_uint(v) + 0x1000u) & 0xffffe000u); }
 // c[16, 8] += a[16, 8] b[8, 8] by a warp: PTX ISA, "Matrix Fragments for mma.m16n8k8", .tf32.

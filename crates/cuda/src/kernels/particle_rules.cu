@@ -363,12 +363,26 @@ __device__ __forceinline__ Body free_fall(const Stream& s, const Body& body) {
 #define DOT(a, b) ((double)(a)[0] * (double)(b)[0] + (double)(a)[1] * (double)(b)[1])
 #define CROSS(a, b) ((double)(a)[0] * (double)(b)[1] - (double)(a)[1] * (double)(b)[0])
 
-// Sums over each cell, then over the cells of each body. A thread has a cell. grid (.., B), block 128
+// Over the threads of a warp; each has it.
+__device__ __forceinline__ u64 warp_sum(u64 v) {
+#pragma unroll
+  for (int m = 16; m; m /= 2) v += shuffle_xor(v, m);
+  return v;
+}
+__device__ __forceinline__ u32 warp_least(u32 v) {
+#pragma unroll
+  for (int m = 16; m; m /= 2) v = min(v, shuffle_xor(v, m));
+  return v;
+}
+__device__ __forceinline__ u32 warp_largest(u32 v) { return ~warp_least(~v); }
+
+// Sums over each cell, then over the cells of each body. A thread has a cell. The cells of a warp are mostly of one body: they are added
+// up first, since additions to the same number wait for each other. grid (.., B), block 128
 extern "C" __global__ void __launch_bounds__(128) particle_bodies_sum(const Stream* __restrict__ streams) {
   const Stream& s = streams[blockIdx.y];
-  for (u32 cell = first_thread(); cell < s.across * s.down; cell += all_threads()) {
-    const u32 begin = s.starts[cell], end = s.starts[cell + 1];
-    if (begin == end) continue;
+  const u32 cells = s.across * s.down;
+  for (u32 first = blockIdx.x * blockDim.x; first < cells; first += all_threads()) {
+    const u32 cell = first + threadIdx.x, begin = cell < cells ? s.starts[cell] : 0, end = cell < cells ? s.starts[cell + 1] : 0;
     double sums[QUANTITIES];
     float lower[2], upper[2];
     for (int i = 0; i < QUANTITIES; i++) sums[i] = 0.0;
@@ -393,20 +407,31 @@ extern "C" __global__ void __launch_bounds__(128) particle_bodies_sum(const Stre
       sums[TURN_NEXT] += CROSS(next.x, next.v);
       sums[STRETCH] += DOT(free.x, next.v);
     }
-    BodySums& body = body_of(s, cell);
+    const bool filled = begin < end;
+    const u32 number = filled ? s.numbers[s.parents[s.maps[0][cell]]] : MISSING, least = warp_least(number);
+    const bool together = least == warp_largest(filled ? number : 0), adds = together ? threadIdx.x % 32 == 0 : filled;
+    const u32 to = together ? least : number;
     for (int i = 0; i < QUANTITIES; i++) {
       // Written so that NaN is invalid.
-      if (!(fabs(sums[i]) < LARGEST_SUM)) {
-        body.invalid = 1;
-        continue;
+      const bool valid = fabs(sums[i]) < LARGEST_SUM;
+      if (filled && !valid) s.sums[number].invalid = 1;
+      const double whole = valid ? floor(sums[i]) : 0.0;
+      u64 parts[2] = {(u64)(long long)whole, valid ? (u64)((sums[i] - whole) * FRACTION_UNIT) : 0};
+      for (int k = 0; k < 2; k++) {
+        if (together) parts[k] = warp_sum(parts[k]);
+        if (adds) atomicAdd(&s.sums[to].sums[i][k], parts[k]);
       }
-      const double whole = floor(sums[i]);
-      atomicAdd(&body.sums[i][0], (u64)(long long)whole);
-      atomicAdd(&body.sums[i][1], (u64)((sums[i] - whole) * FRACTION_UNIT));
     }
     for (int a = 0; a < 2; a++) {
-      atomicMin(&body.lower[a], ordered(lower[a]));
-      atomicMax(&body.upper[a], ordered(upper[a]));
+      u32 low = filled ? ordered(lower[a]) : 0xffffffffu, high = filled ? ordered(upper[a]) : 0;
+      if (together) {
+        low = warp_least(low);
+        high = warp_largest(high);
+      }
+      if (adds) {
+        atomicMin(&s.sums[to].lower[a], low);
+        atomicMax(&s.sums[to].upper[a], high);
+      }
     }
   }
 }
