@@ -64,11 +64,16 @@ impl Reference {
         Self { radius, packed, position: frame.position.clone(), neighbours, ends }
     }
 
+    /// Whether the strain of this frame is known: its particles are those of the reference.
+    pub(super) fn has_strain_of(&self, frame: &Frame) -> bool {
+        frame.len() == self.position.len()
+    }
+
     /// The fields of a frame of the same stream.
     pub(super) fn fields(&self, frame: &Frame) -> Fields {
         let sums = kernel_sums(&frame.position, self.radius);
         let density = sums.into_iter().map(|sum| sum / self.packed).collect();
-        let strain = match frame.len() == self.position.len() {
+        let strain = match self.has_strain_of(frame) {
             true => (0..frame.len()).map(|k| self.strain(k, &frame.position)).collect(),
             false => vec![[f32::NAN; 3]; frame.len()],
         };

@@ -38,7 +38,7 @@ pub(super) fn read(
     progress: &mut Progress<'_>,
     mut each: impl FnMut(&Frame, &[PointArray]) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
-    let mut reference = None;
+    let (mut reference, mut has_no_strain) = (None, false);
     let mut recorded = RecordedProperties::open(&BagReader::open(&track.bag)?, streams.topic())?;
     let frames: Frames = Box::new(streams.frames_of(track)?);
     let truth = truth.and_then(|truth| Some((truth, truth.track(track.stream)?)));
@@ -47,8 +47,17 @@ pub(super) fn read(
     for row in AlignedFrames::new(frames, truth) {
         let mut row = row?.into_iter();
         let Some(frame) = row.next().flatten() else { continue };
-        let Fields { density, strain } =
-            reference.get_or_insert_with(|| Reference::new(&frame)).fields(&frame);
+        let reference = reference.get_or_insert_with(|| Reference::new(&frame));
+        let Fields { density, strain } = reference.fields(&frame);
+        if !reference.has_strain_of(&frame) && !std::mem::replace(&mut has_no_strain, true) {
+            tracing::warn!(
+                "{}: stream {}: the number of particles changes at sequence {}: their strain since the first frame is not known \
+                 there, and NaN",
+                track.bag.display(),
+                track.stream,
+                frame.sequence
+            );
+        }
         let recorded = recorded.as_mut().map(|recorded| recorded.of(&frame)).transpose()?;
         let velocity = frame.velocity.iter().copied().map(spatial).collect();
         let material = frame.material.iter().map(|&material| material as u8).collect();
