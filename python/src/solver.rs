@@ -2,6 +2,7 @@
 
 use std::sync::Mutex;
 
+use eddy_evaluation::dataset::available_memory;
 use eddy_mpm::{Law, Settings, Simulation};
 use pyo3::{prelude::*, types::PyDict};
 
@@ -46,6 +47,12 @@ impl Solver {
         let settings =
             Settings { stiffness, law, viscosity, substeps, duration, ..Settings::default() };
         let scene = scene.get().inner.clone();
+        let (needed, free) =
+            (scene.memory().map_err(raise::<SimulationError>)?, available_memory());
+        if needed > free {
+            let found = format!("a scene that needs {} MiB", needed >> 20);
+            return Err(wrong("scene", found, format!("at most the {} MiB available", free >> 20)));
+        }
         let simulation = py.detach(|| Simulation::on_threads(scene, &settings, threads));
         Ok(Self { simulation: Mutex::new(simulation.map_err(raise::<SimulationError>)?) })
     }

@@ -77,8 +77,9 @@ fn scenes(count: u64) -> Result<Vec<Simulation>> {
         .collect::<std::result::Result<_, _>>()?)
 }
 
-fn interval(substeps: u32) -> Interval {
-    Interval { substeps, attractor: None }
+/// An interval of a solver.
+fn interval(solver: &Solver, substeps: u32) -> Interval {
+    Interval { substeps, dt: solver.settings().dt, attractor: None }
 }
 
 /// Milliseconds that `work` takes, at best of several times.
@@ -111,7 +112,7 @@ fn check() -> Result<()> {
         for substeps in [20, 180] {
             expected.run(substeps).map_err(|lost| format!("particle {lost} lost"))?;
             for (device, solver) in [(&mut first, &mut found), (&mut second, &mut again)] {
-                device.run(&[interval(substeps)])?[0]
+                device.run(&[interval(solver, substeps)], &|| false)?[0]
                     .map_err(|lost| format!("particle {lost} lost"))?;
                 device.fetch(&mut [solver]);
             }
@@ -126,11 +127,12 @@ fn check() -> Result<()> {
     let start = together[7].clone();
     let mut all: Vec<&mut Solver> = together.iter_mut().collect();
     first.load(&all.iter().map(|solver| &**solver).collect::<Vec<_>>())?;
-    first.run(&[interval(200); 64])?;
+    let intervals: Vec<Interval> = all.iter().map(|solver| interval(solver, 200)).collect();
+    first.run(&intervals, &|| false)?;
     first.fetch(&mut all);
     let mut alone = start;
     second.load(&[&alone])?;
-    second.run(&[interval(200)])?;
+    second.run(&[interval(&alone, 200)], &|| false)?;
     second.fetch(&mut [&mut alone]);
     println!("a scene beside 63: same bits: {}", alone.particles() == together[7].particles());
     Ok(())
@@ -148,9 +150,9 @@ fn time(folder: Option<&Path>) -> Result<()> {
             write_start(folder, &solver)?;
         }
         device.load(&[&solver])?;
-        device.advance(&[interval(64)])?;
+        device.advance(&[interval(&solver, 64)])?;
         let substeps = 1_000;
-        let work = || device.advance(&[interval(substeps)]).map(drop).map_err(Into::into);
+        let work = || device.advance(&[interval(&solver, substeps)]).map(drop).map_err(Into::into);
         let here = best(work)? / f64::from(substeps);
         let on_processor = (20_000_000 / particles as u32).clamp(20, 1000);
         let clock = Clock::start();
@@ -163,10 +165,11 @@ fn time(folder: Option<&Path>) -> Result<()> {
     let substeps = 153;
     let all: Vec<&Solver> = simulations.iter().map(Simulation::solver).collect();
     device.load(&all)?;
-    device.advance(&[interval(substeps); 256])?;
-    let here = best(|| device.advance(&[interval(substeps); 256]).map(drop).map_err(Into::into))?
-        / f64::from(substeps);
-    let run = best(|| device.run(&[interval(substeps); 256]).map(drop).map_err(Into::into))?;
+    let intervals: Vec<Interval> = all.iter().map(|solver| interval(solver, substeps)).collect();
+    device.advance(&intervals)?;
+    let here =
+        best(|| device.advance(&intervals).map(drop).map_err(Into::into))? / f64::from(substeps);
+    let run = best(|| device.run(&intervals, &|| false).map(drop).map_err(Into::into))?;
     let fetch = best(|| {
         let mut all: Vec<&mut Solver> =
             simulations.iter_mut().map(Simulation::solver_mut).collect();
@@ -221,6 +224,7 @@ fn write_start(folder: &Path, solver: &Solver) -> Result<()> {
 fn once(solvers: &[&Solver]) -> Result<()> {
     let mut device = on_gpu()?;
     device.load(solvers)?;
-    device.run(&vec![interval(130); solvers.len()])?;
+    let intervals: Vec<Interval> = solvers.iter().map(|solver| interval(solver, 130)).collect();
+    device.run(&intervals, &|| false)?;
     Ok(())
 }

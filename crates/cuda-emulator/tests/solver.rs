@@ -8,8 +8,8 @@ use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::Material;
 use eddy_mpm::{
-    Accelerator, Attractor, GRAVITY, GridShape, Interval, Law, Materials, Matrix2, Particle,
-    Preset, Scene, Settings, Simulation, Solver, SolverSettings,
+    Accelerator, Advance, Attractor, Body, GRAVITY, GridShape, Interval, Law, Materials, Matrix2,
+    MpmError, Particle, Preset, Scene, Settings, Shape, Simulation, Solver, SolverSettings,
 };
 use proptest::prelude::*;
 
@@ -58,7 +58,7 @@ fn run(
 ) -> Vec<Result<(), usize>> {
     let here: Vec<&Solver> = solvers.iter().map(|solver| &**solver).collect();
     device.load(&here).unwrap();
-    let outcomes = device.run(intervals).unwrap();
+    let outcomes = device.run(intervals, &|| false).unwrap();
     device.fetch(solvers);
     outcomes
 }
@@ -117,7 +117,7 @@ proptest! {
         plain.attractor = attractor;
         let mut found = plain.clone();
         plain.run_plain(substeps).unwrap();
-        let outcomes = run(&mut solvers(), &mut [&mut found], &[Interval { substeps, attractor }]);
+        let outcomes = run(&mut solvers(), &mut [&mut found], &[Interval { dt: 1e-4, substeps, attractor }]);
         prop_assert_eq!(outcomes, vec![Ok(())]);
         let [position, velocity, deformation, plastic] = differences(&plain, &found);
         prop_assert!(
@@ -129,13 +129,18 @@ proptest! {
 
 #[test]
 fn scenes_side_by_side_have_the_bits_they_have_alone() {
+    let dt = |k: usize| 1e-4 / (k + 1) as f32;
     let make = |k: usize| {
         let material = Material::ALL[k % 4];
         let particles = block([0.1 + 0.1 * k as f32, 0.3], [1.0, k as f32 - 2.0], material);
-        let dt = 1e-4 / (k + 1) as f32;
+        let dt = dt(k);
         Solver::new(particles[..144 - 30 * k].to_vec(), settings(Law::Water, dt)).unwrap()
     };
-    let intervals = [40, 0, 7, 25].map(|substeps| Interval { substeps, attractor: None });
+    let intervals: Vec<Interval> = [40, 0, 7, 25]
+        .into_iter()
+        .enumerate()
+        .map(|(k, substeps)| Interval { substeps, dt: dt(k), attractor: None })
+        .collect();
     let mut together: Vec<Solver> = (0..4).map(make).collect();
     let mut all: Vec<&mut Solver> = together.iter_mut().collect();
     assert_eq!(run(&mut solvers(), &mut all, &intervals), vec![Ok(()); 4]);
@@ -154,7 +159,7 @@ fn an_interval_is_the_same_in_one_run_and_in_several() {
         Solver::new(block([0.2, 0.5], [3.0, -2.0], Material::Jelly), settings(Law::Water, 2e-4))
             .unwrap()
     };
-    let interval = |substeps| Interval { substeps, attractor: None };
+    let interval = |substeps| Interval { substeps, dt: 2e-4, attractor: None };
     let (mut once, mut parts) = (start(), start());
     let mut device = solvers();
     run(&mut device, &mut [&mut once], &[interval(150)]);
@@ -171,7 +176,7 @@ fn a_fast_particle_is_sorted_again_in_time() {
     let mut plain = Solver::new(particles, settings(Law::Taichi, 1e-4)).unwrap();
     let mut found = plain.clone();
     plain.run_plain(50).unwrap();
-    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 50, attractor: None }]);
+    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 50, dt: 1e-4, attractor: None }]);
     assert!(plain.particles()[0].position[0] > 0.5);
     assert!(differences(&plain, &found)[0] < 1e-3);
 }
@@ -186,7 +191,7 @@ fn particles_in_one_cell_are_summed_exactly() {
     let mut plain = Solver::new(particles.collect(), settings(Law::Water, 1e-4)).unwrap();
     let mut found = plain.clone();
     plain.run_plain(2).unwrap();
-    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 2, attractor: None }]);
+    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 2, dt: 1e-4, attractor: None }]);
     let [position, velocity, ..] = differences(&plain, &found);
     assert!(position < 1e-5 && velocity < 1e-3, "{position:e} {velocity:e}");
 }
@@ -200,7 +205,7 @@ fn a_lost_particle_is_named_and_others_go_on() {
         particles[17].position = [0.8, 0.8];
         Solver::new(particles, settings(Law::Water, 1e-4)).unwrap()
     };
-    let interval = Interval { substeps: 30, attractor: None };
+    let interval = Interval { substeps: 30, dt: 1e-4, attractor: None };
     for speed in [5000.0, f32::NAN, f32::INFINITY] {
         let (mut bad, mut good) = (make(speed), make(1.0));
         let outcomes = run(&mut solvers(), &mut [&mut bad, &mut good], &[interval, interval]);
@@ -218,9 +223,10 @@ fn a_simulation_goes_on_from_the_particles_of_a_device() {
     device.load(&[there.solver()]).unwrap();
     let mut frames = 0;
     while let Some(interval) = there.next_interval() {
-        let outcome = device.run(&[interval]).unwrap().pop().unwrap();
+        let lost = device.run(&[interval], &|| false).unwrap().pop().unwrap();
         device.fetch(&mut [there.solver_mut()]);
-        if let Some(found) = there.finish_interval(outcome).unwrap() {
+        let outcome = there.solver().outcome(&interval, lost);
+        if let Advance::Frame(found) = there.finish_interval(outcome).unwrap() {
             let expected = here.next_frame().unwrap().unwrap();
             assert_eq!((found.stamp, found.sequence), (expected.stamp, expected.sequence));
             let far = |k: usize| {
@@ -234,4 +240,51 @@ fn a_simulation_goes_on_from_the_particles_of_a_device() {
     }
     assert_eq!(here.next_frame().unwrap(), None);
     assert_eq!(frames, 3);
+}
+
+/// A scene in which a body is thrown at a wall, on a device to its end: the intervals that needed more substeps, and the error, if any.
+fn thrown(material: Material, speed: f32) -> (Vec<[u64; 2]>, Option<MpmError>) {
+    let body = Body {
+        material,
+        shape: Shape::Rectangle { size: [0.15, 0.15] },
+        position: [0.2, 0.5],
+        angle_degrees: 0.0,
+        velocity: [-speed, 0.0],
+        particles: None,
+    };
+    let mut scene = Scene { bodies: vec![body], cell_width: 1.0 / 32.0, ..Scene::default() };
+    scene.frames.duration = 0.064;
+    let mut simulation = Simulation::new(scene, &Settings::default()).unwrap();
+    let mut device = solvers();
+    device.load(&[simulation.solver()]).unwrap();
+    while let Some(interval) = simulation.next_interval() {
+        let lost = device.run(&[interval], &|| false).unwrap().pop().unwrap();
+        device.fetch(&mut [simulation.solver_mut()]);
+        let outcome = simulation.solver().outcome(&interval, lost);
+        match simulation.finish_interval(outcome) {
+            Ok(Advance::Again) => device.load(&[simulation.solver()]).unwrap(),
+            Ok(Advance::Frame(_) | Advance::None) => {}
+            Err(error) => return (simulation.refined().to_vec(), Some(error)),
+        }
+    }
+    (simulation.refined().to_vec(), None)
+}
+
+#[test]
+fn an_impact_is_run_again_with_more_substeps_or_refused() {
+    let (refined, error) = thrown(Material::Liquid, 20.0);
+    assert!(!refined.is_empty() && error.is_none(), "{refined:?} {error:?}");
+    assert_eq!(thrown(Material::Liquid, 20.0).0, refined);
+    let error = thrown(Material::Jelly, 25.0).1.unwrap();
+    assert!(matches!(error, MpmError::Collapsed { .. }), "{error}");
+}
+
+#[test]
+fn an_interval_is_cancelled_between_its_rounds() {
+    let solver =
+        Solver::new(block([0.4, 0.4], [0.0; 2], Material::Jelly), settings(Law::Water, 1e-4));
+    let mut device = solvers();
+    device.load(&[&solver.unwrap()]).unwrap();
+    let interval = Interval { substeps: 1_000_000, dt: 1e-4, attractor: None };
+    assert_eq!(device.run(&[interval], &|| true), Err(MpmError::Cancelled));
 }

@@ -18,11 +18,13 @@ use super::{
 pub struct Interval {
     /// Number of substeps.
     pub substeps: u32,
+    /// Length of a substep (s).
+    pub dt: f32,
     /// Acts meanwhile.
     pub attractor: Option<Attractor>,
 }
 
-/// A device that runs the substeps of many solvers side by side, with the forces, walls and laws of [`Solver::run`].
+/// A device that runs the substeps of many solvers side by side, with the forces, walls and laws of [`Solver::advance`].
 ///
 /// The same particles give the same bits in every run, whatever other solvers run beside; they differ from those of the
 /// processor by the rounding of sums.
@@ -39,11 +41,17 @@ pub trait Accelerator: Send {
     /// [`MpmError::Device`]: a call of the device failed, or its memory does not suffice.
     fn load(&mut self, solvers: &[&Solver]) -> Result<(), MpmError>;
 
-    /// Runs an interval of each solver, in their order. The outcomes are those of [`Solver::run`].
+    /// Runs an interval of each solver, in their order. The outcomes are those of [`Solver::run`]: whether the substeps were short
+    /// enough is checked from the particles that it ends with ([`Simulation::finish_interval`](super::Simulation::finish_interval)).
     ///
     /// # Errors
-    /// [`MpmError::Device`]: the device has failed.
-    fn run(&mut self, intervals: &[Interval]) -> Result<Vec<Result<(), usize>>, MpmError>;
+    /// [`MpmError::Device`]: the device has failed. [`MpmError::Cancelled`]: the caller, asked at least every 64 substeps, did not want
+    /// any further.
+    fn run(
+        &mut self,
+        intervals: &[Interval],
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Vec<Result<(), usize>>, MpmError>;
 
     /// Copies the particles to the solvers, in the order of [`Accelerator::load`], as they are after the last run.
     fn fetch(&mut self, solvers: &mut [&mut Solver]);

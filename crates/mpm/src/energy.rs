@@ -27,8 +27,9 @@ pub struct Energy {
 fn elastic(f: [[f64; 2]; 2], mu: f64, lambda: f64) -> f64 {
     let [[xx, xy], [yx, yy]] = f;
     // |F - R|^2 = (s1 - 1)^2 + (s2 - 1)^2 with s = q +- r, as in `polar`.
-    let q = 0.5 * (xx + yy).hypot(yx - xy);
-    let r = 0.5 * (xx - yy).hypot(yx + xy);
+    // Not `hypot`, which takes several times as long; entries are neither tiny nor huge.
+    let length = |a: f64, b: f64| (a * a + b * b).sqrt();
+    let (q, r) = (0.5 * length(xx + yy, yx - xy), 0.5 * length(xx - yy, yx + xy));
     let area = xx * yy - xy * yx;
     mu * ((q + r - 1.0).powi(2) + (q - r - 1.0).powi(2)) + 0.5 * lambda * (area - 1.0).powi(2)
 }

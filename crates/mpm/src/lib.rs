@@ -6,7 +6,8 @@
 //!    overlaps ([`placement`]).
 //! 2. [`generate`]: random scenes from a seed and an id, of a [`preset`] and an [`extent`] (number of particles).
 //! 3. [`simulation`]: chooses stable substeps ([`stability`]), runs them and yields frames; an [`attractor`] acts before
-//!    the first frame.
+//!    the first frame. A frame whose substeps were too long ([`bound`]) or whose matter is not sound ([`collapse`]) is run again with
+//!    more of them, or ends the scene.
 //!
 //! One substep ([`solver`]):
 //!
@@ -26,6 +27,8 @@
 mod accelerator;
 mod attractor;
 mod body;
+mod bound;
+mod collapse;
 mod constitutive;
 mod energy;
 mod error;
@@ -58,7 +61,7 @@ pub use accelerator::{Accelerator, CONSTANTS, Interval};
 pub use attractor::Attractor;
 pub use body::Body;
 pub use energy::Energy;
-pub use error::{Limit, MpmError};
+pub use error::{Collapse, Limit, MpmError};
 pub use extent::Extent;
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
@@ -69,8 +72,8 @@ pub use particle::Particle;
 pub use preset::Preset;
 pub use scene::{Frames, Scene, SolverChoices};
 pub use shape::Shape;
-pub use simulation::{Settings, Simulation};
-pub use solver::{Solver, SolverSettings};
+pub use simulation::{Advance, Settings, Simulation};
+pub use solver::{Solver, SolverSettings, Stop};
 pub use stability::minimum_substeps;
 pub use state::ParticleState;
 pub use step::Step;

@@ -23,6 +23,9 @@ const MAX_ATTRACTOR_FRAMES: u32 = 1000;
 /// Minimum number of cells on each side of a domain: two walls and as much between them.
 const MIN_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
+/// Number of cells on a side that is too large.
+const MOST_CELLS: f64 = 65_536.0;
+
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
@@ -156,7 +159,21 @@ impl Scene {
         let Self { domain, cell_width: dx, .. } = *self;
         positive("cell_width", dx.into(), f64::MAX)?;
         let cells = domain.map(|side| f64::from(side) / f64::from(dx));
-        let whole = |cells: f64| (cells - cells.round()).abs() < 1e-3 && cells < 65_536.0;
+        // A cell that is too small for the domain, or the domain for it: which of the two, only the user knows.
+        if let Some(most) =
+            cells.into_iter().filter(|&cells| cells >= MOST_CELLS).max_by(f64::total_cmp)
+        {
+            let least = f64::from(dx) * most / MOST_CELLS;
+            return Err(MpmError::Field {
+                field: "cell_width".into(),
+                found: format!("{dx}, {most:.3e} cells in a domain of {domain:?}"),
+                expected: format!(
+                    "at most 65535 cells on each side: more than {least:.3e}, for example {}",
+                    domain[0] / 64.0
+                ),
+            });
+        }
+        let whole = |cells: f64| (cells - cells.round()).abs() < 1e-3;
         if !cells.into_iter().all(|cells| whole(cells) && cells.round() >= MIN_CELLS) {
             let next = cells.map(|cells| cells.round().max(MIN_CELLS) as f32 * dx);
             return Err(MpmError::Field {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     accelerator::Interval,
+    collapse,
     energy::Energy,
     error::MpmError,
     flow::Flow,
@@ -12,7 +13,7 @@ use super::{
     order::ParticleOrder,
     particle::Particle,
     scene::Scene,
-    solver::{Solver, SolverSettings},
+    solver::{Solver, SolverSettings, Stop},
     stability::minimum_substeps,
     state::ParticleState,
 };
@@ -20,6 +21,12 @@ use eddy_frames::{Domain, Frame, Stamp, decimal};
 
 /// Maximum number of substeps per frame; the stiffest materials need a few hundred thousand.
 const MAX_SUBSTEPS: u32 = 1_000_000;
+/// How many times an interval is run again with more substeps.
+const MAX_REFINEMENTS: u32 = 6;
+/// By which factor their number grows at most: the state that asked for more may be the result of too few.
+const MAX_FACTOR: f64 = 4.0;
+/// Substeps of such an interval, relative to those that the state asked for in which it was interrupted.
+const MARGIN: f64 = 1.25;
 
 /// Overrides of a scene's own settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -57,6 +64,17 @@ impl Settings {
     }
 }
 
+/// What an interval has come to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Advance {
+    /// The next frame.
+    Frame(Frame),
+    /// None: the attractor acts, or no particles are left.
+    None,
+    /// Its substeps were too long: it runs again, with more of them.
+    Again,
+}
+
 /// A running simulation.
 #[derive(Clone, Debug)]
 pub struct Simulation {
@@ -64,8 +82,20 @@ pub struct Simulation {
     solver: Solver,
     /// Emitters and drains, if any.
     flow: Option<Flow>,
-    /// Substeps per frame.
+    /// Substeps per frame, unless one needs more.
     substeps: u32,
+    /// Substeps of the interval that runs next.
+    attempt: u32,
+    /// How many times it was begun again.
+    refinements: u32,
+    /// Intervals that needed more substeps, in order: their numbers, with those of the attractor, and their substeps.
+    refined: Vec<[u64; 2]>,
+    /// Energy that the particles had at the first frame or got since then; no interval is checked before.
+    budget: Option<f64>,
+    /// The energy of the last frame.
+    energy: Energy,
+    /// Threads of the solver.
+    threads: usize,
     /// Minimum number of frames.
     fewest_frames: u64,
     /// Maximum number of frames.
@@ -112,11 +142,18 @@ impl Simulation {
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
         let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
+        let energy = solver.energy();
         Ok(Self {
             scene,
             solver,
             flow,
             substeps,
+            attempt: substeps,
+            refinements: 0,
+            refined: Vec::new(),
+            budget: None,
+            energy,
+            threads,
             fewest_frames,
             most_frames,
             attracted: 0,
@@ -131,15 +168,58 @@ impl Simulation {
     /// # Errors
     /// As [`Simulation::finish_interval`].
     pub fn next_frame(&mut self) -> Result<Option<Frame>, MpmError> {
-        while let Some(Interval { substeps, attractor }) = self.next_interval() {
-            self.solver.attractor = attractor;
-            let outcome = self.solver.run(substeps);
-            self.solver.attractor = None;
-            if let Some(frame) = self.finish_interval(outcome)? {
-                return Ok(Some(frame));
+        self.next_frame_unless(&|| false)
+    }
+
+    /// As [`Simulation::next_frame`], unless it is cancelled: asked at least every 64 substeps.
+    ///
+    /// # Errors
+    /// As [`Simulation::finish_interval`]; [`MpmError::Cancelled`].
+    pub fn next_frame_unless(
+        &mut self,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Frame>, MpmError> {
+        while let Some(interval) = self.next_interval() {
+            let outcome = self.solver.advance(&interval, cancelled);
+            match self.finish_interval(outcome) {
+                Ok(Advance::Frame(frame)) => return Ok(Some(frame)),
+                Ok(Advance::Again | Advance::None) => {}
+                Err(error) => return Err(self.with_enough_substeps(error, cancelled)),
             }
         }
         Ok(None)
+    }
+
+    /// An error of [`Simulation::finish_interval`]; if the number of substeps was requested, with one that suffices to the end of the
+    /// scene. That takes as long as a simulation.
+    pub fn with_enough_substeps(
+        &self,
+        reason: MpmError,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> MpmError {
+        let Some(requested) = self.scene.solver.substeps else { return reason };
+        if reason == MpmError::Cancelled {
+            return reason;
+        }
+        match self.enough_substeps(cancelled) {
+            // The scene is chaotic: it may have ended otherwise for another reason than the number.
+            Ok(enough) => {
+                let enough = enough.max(requested.saturating_add(1));
+                MpmError::TooFew { requested, enough, reason: Box::new(reason) }
+            }
+            Err(error) => error,
+        }
+    }
+
+    /// Substeps per frame with which every interval of the scene is short enough.
+    fn enough_substeps(&self, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<u32, MpmError> {
+        let mut scene = self.scene.clone();
+        scene.solver.substeps = None;
+        let mut other = Self::on_threads(scene, &Settings::default(), self.threads)?;
+        while other.next_frame_unless(cancelled)?.is_some() {}
+        let refined = other.refined.iter().map(|&[_, substeps]| substeps as u32);
+        let most = refined.max().unwrap_or(other.substeps);
+        Ok((f64::from(most) * MARGIN).ceil() as u32)
     }
 
     /// What the solver is to run next; `None` when the scene has ended.
@@ -147,35 +227,43 @@ impl Simulation {
         if self.ended || self.sequence == self.most_frames {
             return None;
         }
+        let dt = (self.interval() / f64::from(self.attempt)) as f32;
         if self.sequence > 0 {
-            return Some(Interval { substeps: self.substeps, attractor: None });
+            return Some(Interval { substeps: self.attempt, dt, attractor: None });
         }
         let attractor = self.scene.attractor.filter(|it| self.attracted < it.frames);
         // The first frame of a scene is its start, unless an attractor acts before.
-        let substeps = if attractor.is_some() { self.substeps } else { 0 };
-        Some(Interval { substeps, attractor })
+        let substeps = if attractor.is_some() { self.attempt } else { 0 };
+        Some(Interval { substeps, dt, attractor })
     }
 
-    /// Goes on when the solver has run an interval with this outcome ([`Solver::run`]): applies emitters and drains, and
-    /// returns the next frame; `None` while the attractor acts, and when no particles are left.
+    /// Goes on when the solver has run an interval with this outcome ([`Solver::advance`]): checks the particles, applies emitters and
+    /// drains, and returns the next frame. If the substeps were too long, the solver is as it was before the interval.
     ///
     /// # Errors
-    /// [`MpmError::Diverged`] or [`MpmError::Frame`] when the state is not finite; the simulation then ends.
-    pub fn finish_interval(
-        &mut self,
-        outcome: Result<(), usize>,
-    ) -> Result<Option<Frame>, MpmError> {
-        let frame = self.after_interval(outcome);
-        self.ended |= frame.is_err();
-        frame
+    /// [`MpmError::TooLong`], [`MpmError::Diverged`], [`MpmError::Collapsed`] or [`MpmError::Frame`] when the requested number of
+    /// substeps did not give a sound state, or no number; the simulation then ends.
+    pub fn finish_interval(&mut self, outcome: Result<(), Stop>) -> Result<Advance, MpmError> {
+        let advance = self.after_interval(outcome);
+        self.ended |= advance.is_err();
+        advance
     }
 
-    fn after_interval(&mut self, outcome: Result<(), usize>) -> Result<Option<Frame>, MpmError> {
-        outcome.map_err(|particle| diverged(self.solver.particles(), particle, self.begun()))?;
+    fn after_interval(&mut self, outcome: Result<(), Stop>) -> Result<Advance, MpmError> {
+        if let Err((factor, error)) = self.inspect(outcome) {
+            self.refine(factor, error)?;
+            return Ok(Advance::Again);
+        }
+        self.solver.accept();
+        if self.attempt > self.substeps {
+            let number = u64::from(self.attracted) + self.sequence;
+            self.refined.push([number, self.attempt.into()]);
+        }
+        (self.attempt, self.refinements) = (self.substeps, 0);
         if let (0, Some(attractor)) = (self.sequence, self.scene.attractor) {
             self.attracted = (self.attracted + 1).min(attractor.frames);
             if self.attracted < attractor.frames {
-                return Ok(None);
+                return Ok(Advance::None);
             }
         }
         if self.sequence > 0 {
@@ -183,14 +271,60 @@ impl Simulation {
         }
         if self.solver.particles().is_empty() {
             self.ended = true;
-            return Ok(None);
+            return Ok(Advance::None);
         }
+        self.budget.get_or_insert(self.energy.total());
         let frame = self.frame()?;
         self.sequence += 1;
         let rest = self.scene.frames.rest;
         self.ended =
             self.sequence >= self.fewest_frames && self.solver.mean_kinetic_energy() < rest;
-        Ok(Some(frame))
+        Ok(Advance::Frame(frame))
+    }
+
+    /// Checks what an interval has come to.
+    ///
+    /// # Errors
+    /// By which factor the substeps should be shorter, and the error if they cannot be.
+    fn inspect(&mut self, outcome: Result<(), Stop>) -> Result<(), (f64, MpmError)> {
+        let (time, substeps) = (self.begun(), self.attempt);
+        match outcome {
+            Ok(()) => {}
+            Err(Stop::Cancelled) => return Err((1.0, MpmError::Cancelled)),
+            Err(Stop::Lost { particle, state: Particle { position, material, .. } }) => {
+                return Err((2.0, MpmError::Diverged { particle, material, position, time }));
+            }
+            Err(Stop::TooLong { particle, factor, limit }) => {
+                let error = MpmError::TooLong { particle, limit, time, substeps };
+                return Err((f64::from(factor) * MARGIN, error));
+            }
+        }
+        self.energy = self.solver.energy();
+        let Some(budget) = self.budget else { return Ok(()) };
+        let particles = self.solver.particles();
+        let sound = collapse::check(particles, self.solver.settings(), &self.energy, budget);
+        sound.map_err(|(particle, cause)| {
+            let Particle { position, material, .. } = particles[particle];
+            let error = MpmError::Collapsed { particle, material, position, time, substeps, cause };
+            (2.0, error)
+        })
+    }
+
+    /// Returns to the start of the interval, to run it with `factor` times as many substeps.
+    ///
+    /// # Errors
+    /// `error` if their number is fixed, or would be too large.
+    fn refine(&mut self, factor: f64, error: MpmError) -> Result<(), MpmError> {
+        let more = (f64::from(self.attempt) * factor.min(MAX_FACTOR)).ceil();
+        let is_last = self.refinements == MAX_REFINEMENTS || !(more <= f64::from(MAX_SUBSTEPS));
+        if error == MpmError::Cancelled || self.scene.solver.substeps.is_some() || is_last {
+            return Err(error);
+        }
+        self.solver.go_back();
+        self.refinements += 1;
+        // The cast is exact: checked above.
+        self.attempt = (more as u32).max(self.attempt + 1);
+        Ok(())
     }
 
     /// Applies emitters and drains for the next frame.
@@ -201,6 +335,8 @@ impl Simulation {
             self.solver
                 .set_particles(particles.clone())
                 .map_err(|particle| diverged(&particles, particle, time))?;
+            let before = std::mem::replace(&mut self.energy, self.solver.energy());
+            self.budget = self.budget.map(|most| most + self.energy.total() - before.total());
         }
         Ok(())
     }
@@ -218,7 +354,10 @@ impl Simulation {
         let time = self.begun();
         self.solver
             .set_particles(particles.clone())
-            .map_err(|particle| diverged(&particles, particle, time))
+            .map_err(|particle| diverged(&particles, particle, time))?;
+        let before = std::mem::replace(&mut self.energy, self.solver.energy());
+        self.budget = self.budget.map(|most| most + self.energy.total() - before.total());
+        Ok(())
     }
 
     /// The current state as a frame.
@@ -244,9 +383,15 @@ impl Simulation {
         &self.scene
     }
 
-    /// Substeps per frame.
+    /// Substeps per frame, unless one needs more.
     pub fn substeps_per_frame(&self) -> u32 {
         self.substeps
+    }
+
+    /// Intervals so far that needed more substeps: their numbers and substeps. Intervals are numbered from 0; those of the attractor
+    /// come first, then the one that ends with frame 1, unless there is an attractor.
+    pub fn refined(&self) -> &[[u64; 2]] {
+        &self.refined
     }
 
     /// Maximum number of frames.
@@ -269,9 +414,9 @@ impl Simulation {
         self.solver.particles().len()
     }
 
-    /// The current energy.
+    /// The energy of the last frame.
     pub fn energy(&self) -> Energy {
-        self.solver.energy()
+        self.energy
     }
 
     /// Pressure and energy of every particle of the last frame.
@@ -311,6 +456,11 @@ fn substeps(scene: &Scene) -> Result<u32, MpmError> {
         });
     }
     match scene.solver.substeps {
+        Some(requested) if requested > MAX_SUBSTEPS => Err(MpmError::Field {
+            field: "solver.substeps".into(),
+            found: requested.to_string(),
+            expected: format!("at most {MAX_SUBSTEPS}"),
+        }),
         Some(requested) if requested < minimum => {
             let stiffness = materials.stiffness;
             Err(MpmError::Unstable { requested, minimum, limit, stiffness, cells })

@@ -1,9 +1,12 @@
 //! The solver: explicit MLS-MPM substeps.
 
 use super::{
+    accelerator::Interval,
     attractor::Attractor,
+    bound::Bound,
     energy::Energy,
-    fast::{Fast, Level},
+    error::Limit,
+    fast::{Fast, Level, Watch},
     g2p,
     grid::{Grid, GridShape},
     material::{Materials, Moduli},
@@ -42,10 +45,37 @@ impl SolverSettings {
     }
 }
 
+/// Why an interval was not run to its end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stop {
+    /// A particle left the grid, moved further than a cell in a substep, or has a position that is not finite.
+    Lost {
+        /// Its index.
+        particle: usize,
+        /// Its state.
+        state: Particle,
+    },
+    /// The substeps are too long for a particle.
+    TooLong {
+        /// Its index.
+        particle: usize,
+        /// By this factor.
+        factor: f32,
+        /// Why.
+        limit: Limit,
+    },
+    /// The caller did not want further substeps.
+    Cancelled,
+}
+
 /// Particles that interact through a grid.
 #[derive(Clone, Debug)]
 pub struct Solver {
     particles: Vec<Particle>,
+    /// The particles at the start of the last interval, until it is accepted; then a scratch buffer.
+    before: Vec<Particle>,
+    /// Whether `before` has them.
+    can_go_back: bool,
     settings: SolverSettings,
     fast: Fast,
     /// Acts while it is set.
@@ -59,7 +89,14 @@ impl Solver {
     /// The index of the first particle outside the grid.
     pub fn new(particles: Vec<Particle>, settings: SolverSettings) -> Result<Self, usize> {
         let fast = Fast::new(settings.grid, settings.threads, Level::widest());
-        let mut solver = Self { particles: Vec::new(), settings, fast, attractor: None };
+        let mut solver = Self {
+            particles: Vec::new(),
+            before: Vec::new(),
+            can_go_back: false,
+            settings,
+            fast,
+            attractor: None,
+        };
         solver.set_particles(particles)?;
         Ok(solver)
     }
@@ -73,6 +110,7 @@ impl Solver {
             Some(outside) => Err(outside),
             None => {
                 self.particles = particles;
+                self.can_go_back = false;
                 Ok(())
             }
         }
@@ -84,7 +122,63 @@ impl Solver {
     /// The index of a particle that left the grid, moved further than a cell in one substep, or has a position that is not
     /// finite; the state is then invalid.
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
-        self.fast.run(&mut self.particles, substeps, &self.settings, self.attractor)
+        let Self { particles, before, settings, attractor, .. } = self;
+        match self.fast.run(particles, before, substeps, settings, *attractor, None) {
+            Ok(()) => {
+                std::mem::swap(particles, before);
+                Ok(())
+            }
+            Err(Stop::Lost { particle, state }) => {
+                particles[particle] = state;
+                Err(particle)
+            }
+            Err(Stop::TooLong { particle, .. }) => Err(particle),
+            Err(Stop::Cancelled) => Ok(()),
+        }
+    }
+
+    /// Runs an interval with substeps of its length, and checks that they are short enough for the particles as they are, meanwhile
+    /// and at its end. Results and errors are the same for any number of threads and any processor. [`Solver::go_back`] returns to
+    /// its start.
+    ///
+    /// # Errors
+    /// The particles are then unchanged.
+    pub fn advance(
+        &mut self,
+        interval: &Interval,
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(), Stop> {
+        self.settings.dt = interval.dt;
+        let Self { particles, before, settings, .. } = self;
+        let watch = Watch { bound: Bound::of(settings), cancelled };
+        let (substeps, attractor) = (interval.substeps, interval.attractor);
+        self.fast.run(particles, before, substeps, settings, attractor, Some(&watch))?;
+        std::mem::swap(particles, before);
+        self.can_go_back = true;
+        Ok(())
+    }
+
+    /// The outcome of an interval that an [`Accelerator`](super::Accelerator) has run with this one, as that of [`Solver::advance`],
+    /// except that the substeps are checked from the particles at the end only.
+    ///
+    /// # Errors
+    /// As [`Solver::advance`].
+    pub fn outcome(&self, interval: &Interval, lost: Result<(), usize>) -> Result<(), Stop> {
+        lost.map_err(|particle| Stop::Lost { particle, state: self.particles[particle] })?;
+        let bound = Bound::of(&SolverSettings { dt: interval.dt, ..self.settings });
+        bound.check(self.particles.iter().enumerate())
+    }
+
+    /// Returns to the start of the last interval.
+    pub(super) fn go_back(&mut self) {
+        if std::mem::take(&mut self.can_go_back) {
+            std::mem::swap(&mut self.particles, &mut self.before);
+        }
+    }
+
+    /// Forgets the start of the last interval.
+    pub(super) fn accept(&mut self) {
+        self.can_go_back = false;
     }
 
     /// As [`Solver::run`], but particle by particle and node by node: the reference implementation.
@@ -116,8 +210,10 @@ impl Solver {
         &self.particles
     }
 
-    /// The particles, for who advances them in place of [`Solver::run`].
+    /// The particles, for who advances them in place of [`Solver::advance`].
     pub fn particles_mut(&mut self) -> &mut [Particle] {
+        self.before.clone_from(&self.particles);
+        self.can_go_back = true;
         &mut self.particles
     }
 

@@ -9,7 +9,7 @@ use crate::{
 use eddy_evaluation::dataset::simulate::{Job, Recording, Store};
 use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
-use eddy_mpm::Simulation;
+use eddy_mpm::{MpmError, Simulation};
 use eddy_node::Pacer;
 use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
 
@@ -43,8 +43,16 @@ pub(super) fn run(
         let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
-        let next =
-            |simulation: &mut Simulation| -> anyhow::Result<_> { Ok(simulation.next_frame()?) };
+        let mut cancelled = false;
+        let next = |simulation: &mut Simulation| -> anyhow::Result<_> {
+            match simulation.next_frame_unless(&|| interrupt.requested()) {
+                Err(MpmError::Cancelled) => {
+                    cancelled = true;
+                    Ok(None)
+                }
+                frame => Ok(frame?),
+            }
+        };
         let complete = Pacer::steady(rate)
             .run(&mut simulation, next, stop, |frame, simulation| {
                 topics.publish(frame)?;
@@ -55,6 +63,7 @@ pub(super) fn run(
                 Ok(())
             })
             .with_context(|| name.clone())?;
+        let complete = complete && !cancelled;
         if !quiet {
             let real = clock.now().as_secs_f64();
             let simulated = f64::from(frames) * f64::from(scene.start.scene.frames.interval);
@@ -72,7 +81,7 @@ pub(super) fn run(
             return Ok(());
         }
         if let (Some(store), Some(recording)) = (store, recording) {
-            store.deliver(&recording.finish()?)?;
+            store.deliver(&recording.finish(&simulation)?)?;
         }
     }
     topics.finish()

@@ -72,9 +72,14 @@ unsafe impl bytemuck::Zeroable for Row {}
 unsafe impl bytemuck::Pod for Row {}
 
 impl Row {
-    /// Sets what the scene runs next.
-    pub(super) fn set(&mut self, interval: &Interval) {
+    /// Sets what the scene with these settings runs next.
+    pub(super) fn set(&mut self, settings: &SolverSettings, interval: &Interval) {
         self.substeps = interval.substeps;
+        let step = Step::of(&SolverSettings { dt: interval.dt, ..*settings });
+        (self.dt, self.impulse) = (step.dt, step.impulse);
+        // Velocities are summed as integers. A power of two, so that scaling does not round.
+        let cells_per_substep = step.dt * step.inverse_dx;
+        self.unit = f32::from_bits(cells_per_substep.to_bits() & 0x7f80_0000);
         self.attracted = u32::from(interval.attractor.is_some());
         if let Some(Attractor { centre, strength, period, .. }) = interval.attractor {
             (self.centre, self.strength) = (centre, strength);
@@ -88,6 +93,7 @@ impl Row {
 pub(super) struct Layout {
     /// Of each scene.
     pub(super) rows: Vec<Row>,
+    settings: Vec<SolverSettings>,
     /// Particles of all scenes.
     pub(super) particles: usize,
     /// Particles of the largest one.
@@ -113,10 +119,8 @@ impl Layout {
         let step = Step::of(settings);
         let sides = cells.map(|cells| cells + 1);
         let tiles = sides.map(|side| side.div_ceil(TILE as u32));
-        // Velocities are summed as integers. A power of two, so that scaling does not round.
-        let cells_per_substep = step.dt * step.inverse_dx;
-        let unit = f32::from_bits(cells_per_substep.to_bits() & 0x7f80_0000);
         let scene = self.rows.len() as u32;
+        self.settings.push(*settings);
         self.rows.push(Row {
             first: self.particles as u32,
             particles: particles as u32,
@@ -128,15 +132,15 @@ impl Layout {
             substeps: 0,
             dx: step.dx,
             inverse_dx: step.inverse_dx,
-            dt: step.dt,
+            dt: 0.0,
             gravity,
-            impulse: step.impulse,
+            impulse: 0.0,
             particles_per_cell: step.particles_per_cell,
             mu: step.moduli.lame.mu,
             lambda: step.moduli.lame.lambda,
             viscosity: step.moduli.viscosity,
             water: u32::from(step.moduli.law == Law::Water),
-            unit,
+            unit: 0.0,
             attracted: 0,
             centre: [0.0; 2],
             strength: 0.0,
@@ -147,6 +151,13 @@ impl Layout {
         let places = (0..tiles[0]).flat_map(|x| (0..tiles[1]).map(move |y| [scene, x, y]));
         self.tiles.extend(places);
         self.nodes += sides[0] as usize * sides[1] as usize;
+    }
+
+    /// Sets what each scene runs next.
+    pub(super) fn set(&mut self, intervals: &[Interval]) {
+        for ((row, settings), interval) in self.rows.iter_mut().zip(&self.settings).zip(intervals) {
+            row.set(settings, interval);
+        }
     }
 
     /// Tiles that can have particles at once.

@@ -63,11 +63,16 @@ impl Solvers {
     /// # Panics
     /// Before [`Accelerator::load`].
     pub fn advance(&mut self, intervals: &[Interval]) -> Result<Vec<Option<usize>>> {
-        self.loaded.as_mut().expect("solvers are loaded first").advance(&*self.device, intervals)
+        let loaded = self.loaded.as_mut().expect("solvers are loaded first");
+        Ok(loaded.advance(&*self.device, intervals, &|| false)?.unwrap_or_default())
     }
 
     /// Memory of the device that solvers take in place of those that it has (bytes), and what is free for them.
     fn room(&self, layout: &Layout) -> Result<(u64, u64)> {
+        // The kernels number particles and nodes with 32 bits.
+        if layout.particles.max(layout.nodes) > u32::MAX as usize {
+            return Ok((u64::MAX, self.device.free_memory()?));
+        }
         let held = self.loaded.as_ref().map_or(0, |loaded| loaded.layout.bytes());
         Ok((layout.bytes(), self.device.free_memory()?.saturating_add(held)))
     }
@@ -91,11 +96,15 @@ impl Solvers {
         Ok(())
     }
 
-    fn run_all(&mut self, intervals: &[Interval]) -> Result<Vec<Option<usize>>> {
-        let lost = self.advance(intervals)?;
-        if let Some(loaded) = &mut self.loaded
-            && intervals.iter().any(|interval| interval.substeps > 0)
-        {
+    /// As [`Accelerator::run`]; `None` if it was cancelled.
+    fn run_all(
+        &mut self,
+        intervals: &[Interval],
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Vec<Option<usize>>>> {
+        let loaded = self.loaded.as_mut().expect("solvers are loaded first");
+        let lost = loaded.advance(&*self.device, intervals, cancelled)?;
+        if lost.is_some() && intervals.iter().any(|interval| interval.substeps > 0) {
             loaded.store(&*self.device)?;
         }
         Ok(lost)
@@ -119,8 +128,10 @@ impl Accelerator for Solvers {
     fn run(
         &mut self,
         intervals: &[Interval],
+        cancelled: &(dyn Fn() -> bool + Sync),
     ) -> std::result::Result<Vec<std::result::Result<(), usize>>, MpmError> {
-        let lost = self.run_all(intervals).map_err(failed)?;
+        let lost = self.run_all(intervals, cancelled).map_err(failed)?;
+        let lost = lost.ok_or(MpmError::Cancelled)?;
         Ok(lost.into_iter().map(|lost| lost.map_or(Ok(()), Err)).collect())
     }
 
@@ -218,19 +229,18 @@ impl Loaded {
         Ok(loaded)
     }
 
-    /// Runs an interval of each scene; the particle that was lost, if any.
+    /// Runs an interval of each scene; the particle that was lost, if any. `None` if it was cancelled.
     fn advance(
         &mut self,
         device: &dyn Device,
         intervals: &[Interval],
-    ) -> Result<Vec<Option<usize>>> {
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Option<Vec<Option<usize>>>> {
         let scenes = self.layout.rows.len();
         assert_eq!(intervals.len(), scenes, "an interval for each solver");
-        for (row, interval) in self.layout.rows.iter_mut().zip(intervals) {
-            row.set(interval);
-        }
+        self.layout.set(intervals);
         if scenes == 0 || self.layout.particles == 0 {
-            return Ok(vec![None; scenes]);
+            return Ok(Some(vec![None; scenes]));
         }
         device.write(&self.scenes, 0, bytemuck::cast_slice(&self.layout.rows))?;
         let begun =
@@ -248,12 +258,15 @@ impl Loaded {
             .zip(&lost)
             .all(|(scene, &lost)| lost != NONE || finished(scene))
         {
+            if cancelled() {
+                return Ok(None);
+            }
             self.rounds.run(device, substeps, || self.launch_round(device, substeps))?;
             device.read(&self.status[0], 0, bytemuck::cast_slice_mut(&mut status))?;
             device.read(&self.lost, 0, bytemuck::cast_slice_mut(&mut lost))?;
         }
         let index = |lost: u32| (lost != NONE).then_some(lost as usize);
-        Ok(lost.into_iter().map(index).collect())
+        Ok(Some(lost.into_iter().map(index).collect()))
     }
 
     /// A launch with a thread for each particle of each scene.

@@ -30,6 +30,7 @@ mod stencil;
 #[cfg(test)]
 mod tests;
 mod transfer;
+mod watch;
 
 use std::sync::{
     Arc, Mutex, MutexGuard, PoisonError,
@@ -42,15 +43,29 @@ use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
 use sort::Packs;
 use transfer::Pass;
+use watch::Search;
 
 use super::{
-    attractor::Attractor, grid::GridShape, particle::Particle, solver::SolverSettings, step::Step,
+    attractor::Attractor,
+    bound::Bound,
+    grid::GridShape,
+    particle::Particle,
+    solver::{SolverSettings, Stop},
+    step::Step,
 };
 
 pub(super) use level::Level;
 
 /// Maximum number of substeps between sorts: after that many, neighbours in a cell are no longer neighbours in memory.
 const SORT_EVERY: u32 = 64;
+
+/// What a run checks whenever particles are sorted, and at its end.
+pub(super) struct Watch<'a> {
+    /// Limits of the substep.
+    pub(super) bound: Bound,
+    /// Whether no further substeps are wanted.
+    pub(super) cancelled: &'a (dyn Fn() -> bool + Sync),
+}
 
 /// Buffers reused from call to call. The state itself is in the particles.
 #[derive(Clone, Debug)]
@@ -80,24 +95,28 @@ impl Fast {
         }
     }
 
-    /// Advances particles by a number of substeps.
+    /// Writes the particles as they are after a number of substeps to `advanced`.
     ///
     /// # Errors
-    /// The index of a particle that left the grid, moved further than a cell in one substep, or has a position that is not
-    /// finite. The other particles are then unchanged.
+    /// [`Stop::Lost`]; with a `watch` also the others.
     pub(super) fn run(
         &mut self,
-        particles: &mut [Particle],
+        particles: &Vec<Particle>,
+        advanced: &mut Vec<Particle>,
         substeps: u32,
         settings: &SolverSettings,
         attractor: Option<Attractor>,
-    ) -> Result<(), usize> {
+        watch: Option<&Watch<'_>>,
+    ) -> Result<(), Stop> {
         if particles.is_empty() || substeps == 0 {
+            advanced.clone_from(particles);
             return Ok(());
         }
+        // All are replaced at the end.
+        advanced.resize(particles.len(), particles[0]);
         // After an error the lost particle keeps its position outside the grid.
         if let Some(lost) = particles.iter().position(|p| !settings.grid.contains(p.position)) {
-            return Err(lost);
+            return Err(Stop::Lost { particle: lost, state: particles[lost] });
         }
         let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
         self.packs.fill(particles, step, &self.field, &mut lock(&self.pool));
@@ -107,16 +126,33 @@ impl Fast {
             if done > 0 {
                 self.sort(step);
             }
+            self.check(watch)?;
             let most = (substeps - done).min(SORT_EVERY);
             done += self.substeps(done == 0, most, step, forces);
-            self.check_lost(particles)?;
+            self.check_lost()?;
         }
         self.finish(step);
-        self.check_lost(particles)?;
+        self.check_lost()?;
+        self.check(watch)?;
         for (particle, k) in self.packs.states() {
-            particles[k as usize] = particle;
+            advanced[k as usize] = particle;
         }
         Ok(())
+    }
+
+    /// Checks that further substeps are wanted, and short enough for the particles as they are.
+    ///
+    /// # Errors
+    /// [`Stop::Cancelled`], [`Stop::TooLong`].
+    fn check(&self, watch: Option<&Watch<'_>>) -> Result<(), Stop> {
+        let Some(Watch { bound, cancelled }) = watch else { return Ok(()) };
+        if cancelled() {
+            return Err(Stop::Cancelled);
+        }
+        if !self.level.run(Search { packs: &self.packs.packs, bound }) {
+            return Ok(());
+        }
+        bound.check(self.packs.states().map(|(particle, k)| (k as usize, particle)))
     }
 
     /// Sorts the particles again and divides them into chunks.
@@ -199,18 +235,15 @@ impl Fast {
     /// Checks that no particle is lost.
     ///
     /// # Errors
-    /// As [`Fast::run`].
-    fn check_lost(&self, particles: &mut [Particle]) -> Result<(), usize> {
+    /// [`Stop::Lost`].
+    fn check_lost(&self) -> Result<(), Stop> {
         let lost = self.chunks.iter().filter(|chunk| chunk.lost).flat_map(|chunk| {
             let states = chunk.particles().map(|k| sort::state(&self.packs.packs, k));
             states.filter(|(particle, _)| !chunk.holds_one(particle.position))
         });
         match lost.min_by_key(|(_, k)| *k) {
             None => Ok(()),
-            Some((particle, k)) => {
-                particles[k as usize] = particle;
-                Err(k as usize)
-            }
+            Some((state, k)) => Err(Stop::Lost { particle: k as usize, state }),
         }
     }
 }

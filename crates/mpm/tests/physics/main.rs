@@ -24,6 +24,7 @@ mod elastic;
 mod jelly;
 mod rope;
 mod snow;
+mod thrown;
 mod water;
 
 use eddy_frames::Material;

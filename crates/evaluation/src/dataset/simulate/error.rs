@@ -92,6 +92,20 @@ pub enum SimulateError {
         /// The directory of the bag.
         directory: PathBuf,
     },
+    /// The bag of a finished scene does not have the frames that were written.
+    #[error(
+        "{}: found {found}, expected {expected} as in manifest.json: the bag is damaged; delete it and run the same command again, or \
+         replace all scenes there with --force",
+        directory.display()
+    )]
+    Damaged {
+        /// The directory of the bag.
+        directory: PathBuf,
+        /// What it has.
+        found: String,
+        /// What it should have.
+        expected: String,
+    },
     /// Another process uses the output directory.
     #[error("{}: another process simulates scenes in this directory: {reason}", lock.display())]
     Locked {

@@ -126,6 +126,10 @@ pub struct Finished {
     /// Its initial conditions.
     #[serde(flatten)]
     pub start: Start,
+    /// Intervals that needed more substeps per frame than the start of the scene: their numbers and substeps, as
+    /// [`Simulation::refined`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub refined: Vec<[u64; 2]>,
     /// Number of recorded frames.
     pub frames: u64,
     /// The energy over time.

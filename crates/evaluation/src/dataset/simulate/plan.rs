@@ -3,12 +3,16 @@
 use std::{fs, ops::Range, path::Path};
 
 use rayon::prelude::*;
+use sha2::{Digest, Sha256};
 
 use super::{
     SimulateError, SimulationRequest, UPLOADED_LAST, directory,
-    manifest::{Manifest, Start},
+    manifest::{Finished, Manifest, Start},
 };
-use crate::dataset::available_memory;
+use crate::dataset::{TRUTH_TOPIC, available_memory};
+use eddy_bag::BagReader;
+use eddy_frames::counted;
+use eddy_messages::{Message, ParticleFrame};
 use eddy_mpm::{MpmError, Scene, Settings, Simulation};
 use eddy_storage::is_remote;
 
@@ -51,8 +55,9 @@ pub(super) fn plan(
             if !is_there(&directory)? {
                 return Ok(Some(planned));
             }
-            if manifest.scene(id)?.is_none_or(|found| found.start != planned.start) {
-                return Err(SimulateError::OtherScene { directory });
+            match manifest.scene(id)? {
+                Some(found) if found.start == planned.start => check_bag(&directory, &found)?,
+                _ => return Err(SimulateError::OtherScene { directory }),
             }
             Ok(None)
         })
@@ -67,6 +72,34 @@ fn is_there(directory: &Path) -> Result<bool, SimulateError> {
     }
     let file = directory.join(UPLOADED_LAST);
     eddy_storage::exists(&file).map_err(SimulateError::io("look for", &file))
+}
+
+/// Checks that the bag of a finished scene has the frames that were written. Those in a store are not read again.
+fn check_bag(directory: &Path, finished: &Finished) -> Result<(), SimulateError> {
+    if is_remote(directory) || finished.frames == 0 {
+        return Ok(());
+    }
+    let damaged = |found: String| SimulateError::Damaged {
+        directory: directory.to_owned(),
+        found,
+        expected: counted(finished.frames, "frame"),
+    };
+    let mut digest = Sha256::new();
+    let mut frames = 0;
+    let bag = BagReader::open(directory).map_err(|error| damaged(error.to_string()))?;
+    let messages = bag.messages_of(TRUTH_TOPIC, ParticleFrame::TYPE);
+    for message in messages.map_err(|error| damaged(error.to_string()))? {
+        let message = message.map_err(|error| damaged(error.to_string()))?;
+        digest.update(&message.data);
+        frames += 1;
+    }
+    if frames != finished.frames {
+        return Err(damaged(counted(frames, "frame")));
+    }
+    match format!("{:x}", digest.finalize()) == finished.sha256 {
+        true => Ok(()),
+        false => Err(damaged("other frames than the sha256 in manifest.json is of".to_owned())),
+    }
 }
 
 fn plan_scene(scene: Scene, at_once: usize, available: u64) -> Result<Planned, SimulateError> {

@@ -140,10 +140,11 @@ impl Recording {
     ///
     /// # Errors
     /// As [`BagWriter::finish`].
-    pub fn finish(self) -> Result<Finished, BagError> {
+    pub fn finish(self, simulation: &Simulation) -> Result<Finished, BagError> {
         self.writer.finish()?;
         Ok(Finished {
             start: self.start,
+            refined: simulation.refined().to_vec(),
             frames: self.frames,
             energy: self.energy.thinned(),
             sha256: format!("{:x}", self.digest.finalize()),

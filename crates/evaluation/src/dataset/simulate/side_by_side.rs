@@ -9,7 +9,7 @@ use super::{
     SimulateError, manifest::Finished, plan::Planned, recording::Recording, write::Workers,
 };
 use eddy_frames::Frame;
-use eddy_mpm::{Accelerator, Interval, MpmError, Simulation, Solver};
+use eddy_mpm::{Accelerator, Advance, Interval, MpmError, Simulation, Solver};
 
 /// Maximum number of scenes side by side: more gain nothing.
 pub const MOST_SCENES: usize = 256;
@@ -29,6 +29,8 @@ struct Running<'a> {
     frame: Option<Frame>,
     /// Frames written.
     frames: u64,
+    /// Its interval runs again, with more substeps.
+    again: bool,
     /// It has finished or failed, and is on the device until others take its place.
     ended: bool,
 }
@@ -41,8 +43,9 @@ pub(super) fn simulate(workers: &Workers<'_>, device: &mut dyn Accelerator) -> V
         running: Vec::new(),
         outcomes: Vec::new(),
     };
-    if let Err(reason) = batch.run(device) {
-        batch.fail(reason);
+    match batch.run(device) {
+        Ok(()) | Err(MpmError::Cancelled) => {}
+        Err(reason) => batch.fail(reason),
     }
     batch.outcomes
 }
@@ -89,8 +92,9 @@ impl Batch<'_> {
         let workers = self.workers;
         let start = |planned| {
             let simulation = workers.job.start(planned)?;
-            let (recording, frame, frames, ended) = (None, None, 0, false);
-            Ok(Running { planned, simulation, recording, frame, frames, ended })
+            let (recording, frame) = (None, None);
+            let (frames, again, ended) = (0, false, false);
+            Ok(Running { planned, simulation, recording, frame, frames, again, ended })
         };
         let started: Vec<_> = next
             .into_par_iter()
@@ -114,16 +118,33 @@ impl Batch<'_> {
 
     /// Runs an interval of all scenes, while their last frames are written. Whether particles were added or removed.
     fn interval(&mut self, device: &mut dyn Accelerator) -> Result<bool, MpmError> {
+        let count = |running: &[Running<'_>]| -> Vec<usize> {
+            running.iter().map(|scene| scene.simulation.particles()).collect()
+        };
+        let before = count(&self.running);
+        for scene in &mut self.running {
+            scene.again = !scene.ended && !scene.has_ended();
+        }
+        self.run_once(device)?;
+        // The scenes whose substeps were too long, while the others rest.
+        while self.running.iter().any(|scene| scene.again) {
+            device.load(&self.solvers())?;
+            self.run_once(device)?;
+        }
+        Ok(count(&self.running) != before)
+    }
+
+    /// Runs an interval of the scenes that have not finished theirs.
+    fn run_once(&mut self, device: &mut dyn Accelerator) -> Result<(), MpmError> {
         let workers = self.workers;
-        let rest = Interval { substeps: 0, attractor: None };
+        let rest = Interval { substeps: 0, dt: 1.0, attractor: None };
         let next = |scene: &Running<'_>| {
-            let next = scene.simulation.next_interval();
-            next.filter(|_| !scene.ended).unwrap_or(rest)
+            scene.simulation.next_interval().filter(|_| scene.again).unwrap_or(rest)
         };
         let intervals: Vec<Interval> = self.running.iter().map(next).collect();
         let (computed, written) = thread::scope(|scope| {
-            let device = &mut *device;
-            let computed = scope.spawn(move || device.run(&intervals));
+            let (device, intervals) = (&mut *device, &intervals);
+            let computed = scope.spawn(move || device.run(intervals, &|| workers.stops()));
             let write = |scene: &mut Running<'_>| scene.write(workers);
             let written: Vec<_> = self.running.par_iter_mut().map(write).collect();
             let computed = computed.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -134,18 +155,14 @@ impl Batch<'_> {
         let mut solvers: Vec<&mut Solver> =
             self.running.iter_mut().map(|scene| scene.simulation.solver_mut()).collect();
         device.fetch(&mut solvers);
-        let count = |running: &[Running<'_>]| -> Vec<usize> {
-            running.iter().map(|scene| scene.simulation.particles()).collect()
-        };
-        let before = count(&self.running);
         let finished: Vec<_> = self
             .running
             .par_iter_mut()
-            .zip(computed)
-            .map(|(scene, outcome)| scene.finish_interval(workers, outcome))
+            .zip(intervals.into_par_iter().zip(computed))
+            .map(|(scene, (interval, lost))| scene.finish_interval(workers, &interval, lost))
             .collect();
         self.take(finished);
-        Ok(count(&self.running) != before)
+        Ok(())
     }
 
     /// Keeps the outcomes of scenes that have ended.
@@ -187,19 +204,25 @@ impl Running<'_> {
         self.has_ended().then(|| self.finish(workers)).transpose()
     }
 
-    /// Goes on when the device has run an interval with this outcome; the outcome if the scene has failed, or ends without a
-    /// further frame.
+    /// Goes on when the device has run this interval; the outcome if the scene has failed, or ends without a further frame.
     fn finish_interval(
         &mut self,
         workers: &Workers<'_>,
-        outcome: Result<(), usize>,
+        interval: &Interval,
+        lost: Result<(), usize>,
     ) -> Option<Outcome> {
-        if self.ended || self.has_ended() {
+        if !std::mem::take(&mut self.again) || self.ended {
             return None;
         }
+        let outcome = self.simulation.solver().outcome(interval, lost);
         match self.simulation.finish_interval(outcome) {
-            Ok(frame) => self.frame = frame,
-            Err(reason) => return Some(Err(workers.failed(self.planned, reason.into()))),
+            Ok(Advance::Frame(frame)) => self.frame = Some(frame),
+            Ok(Advance::None) => {}
+            Ok(Advance::Again) => self.again = true,
+            Err(reason) => {
+                let reason = self.simulation.with_enough_substeps(reason, &|| workers.stops());
+                return Some(Err(workers.failed(self.planned, reason.into())));
+            }
         }
         let is_empty = self.frame.is_none() && self.has_ended();
         is_empty
@@ -222,7 +245,7 @@ impl Running<'_> {
     /// Finishes the scene's bag.
     fn finish(&mut self, workers: &Workers<'_>) -> Outcome {
         workers.progress.advance(self.planned.most_frames - self.frames);
-        let finished = self.recording(workers)?.finish()?;
+        let finished = self.recording(workers)?.finish(&self.simulation)?;
         workers.store.deliver(&finished)?;
         Ok(finished)
     }

@@ -15,8 +15,8 @@ use crate::dataset::TRUTH_TOPIC;
 use eddy_bag::BagReader;
 use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;
-use eddy_frames::progress::Silent;
-use eddy_mpm::{Extent, Interval, Preset, Solver};
+use eddy_frames::{Material, progress::Silent};
+use eddy_mpm::{Body, Extent, Interval, Preset, Shape, Solver};
 
 /// Two frames of each scene, on one thread.
 fn request(scenes: u32) -> SimulationRequest {
@@ -271,11 +271,15 @@ impl Accelerator for Failing {
         self.0.load(solvers)
     }
 
-    fn run(&mut self, intervals: &[Interval]) -> Result<Vec<Result<(), usize>>, MpmError> {
+    fn run(
+        &mut self,
+        intervals: &[Interval],
+        cancelled: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Vec<Result<(), usize>>, MpmError> {
         if self.1 == 0 {
             return Err(MpmError::Device("GPU: cuStreamSynchronize failed: it is gone".into()));
         }
-        self.0.run(intervals)
+        self.0.run(intervals, cancelled)
     }
 
     fn fetch(&mut self, solvers: &mut [&mut Solver]) {
@@ -366,4 +370,91 @@ fn one_process_goes_on_where_several_have_begun() {
     }
     assert_eq!(simulate(&request(3), &shared, &Silent, None).unwrap().finished.len(), 2);
     assert_eq!(contents(&shared), contents(&alone));
+}
+
+/// A written scene in which water hits a wall.
+fn impact() -> SimulationRequest {
+    let body = Body {
+        material: Material::Liquid,
+        shape: Shape::Rectangle { size: [0.1, 0.1] },
+        position: [0.2, 0.5],
+        angle_degrees: 0.0,
+        velocity: [-20.0, 0.0],
+        particles: None,
+    };
+    let scene = Scene { bodies: vec![body], cell_width: 1.0 / 32.0, ..Scene::default() };
+    let settings = Settings { duration: Some(0.064), ..Settings::default() };
+    SimulationRequest { source: Source::Written(Box::new(scene)), settings, ..request(1) }
+}
+
+#[test]
+fn the_manifest_has_the_substeps_of_frames_that_needed_more() {
+    let ((_a, here), (_b, there)) = (output(), output());
+    let mut scenes = Vec::new();
+    for (output, device) in [(&here, None), (&there, Some(&mut emulated() as &mut dyn Accelerator))]
+    {
+        simulate(&impact(), output, &Silent, device).unwrap().complete().unwrap();
+        let manifest = Manifest::open(output, &impact().recorded()).unwrap();
+        scenes.push(manifest.scene(0).unwrap().unwrap());
+    }
+    for Finished { start, refined, frames, .. } in scenes {
+        assert_eq!(frames, 4);
+        assert!(!refined.is_empty(), "{refined:?}");
+        let more = |&[frame, most]: &[u64; 2]| frame < 4 && most > u64::from(start.substeps);
+        assert!(refined.iter().all(more), "{refined:?}");
+    }
+}
+
+#[test]
+fn a_damaged_bag_is_found_when_the_request_is_repeated() {
+    let (_folder, output) = output();
+    let run = || simulate(&request(2), &output, &Silent, None);
+    run().unwrap().complete().unwrap();
+    assert_eq!(run().unwrap().present, 2);
+    let file = output.join(directory(1)).join("scene_0001_0.mcap");
+    let whole = fs::read(&file).unwrap();
+    let middle = whole.len() / 2;
+    let mut flipped = whole.clone();
+    flipped[middle] ^= 1;
+    for damaged in [&whole[..middle], &[], &flipped] {
+        fs::write(&file, damaged).unwrap();
+        let said = run().unwrap_err().to_string();
+        for words in ["scene_0001: found ", "expected 2 frames as in manifest.json", "delete it"] {
+            assert!(said.contains(words), "{said}");
+        }
+    }
+    fs::remove_dir_all(output.join(directory(1))).unwrap();
+    assert_eq!(run().unwrap().finished.len(), 1);
+    assert_eq!(fs::read(&file).unwrap(), whole);
+}
+
+#[test]
+fn scenes_of_older_versions_fall_down_as_they_did() {
+    // Both written by eddy 0.1.0 of 2026-11, in which gravity was along -y: the scene, and the manifest of its bag.
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/dataset/simulate/golden/older_scene.toml");
+    let mut scene: Scene = eddy_settings::load(Path::new(file)).unwrap();
+    assert_eq!(scene.solver.gravity, 1.6);
+    assert!(scene.check().unwrap_err().to_string().contains("negative is down"));
+    let folder = tempfile::tempdir().unwrap();
+    let manifest = include_str!("golden/older_manifest.json");
+    fs::write(folder.path().join("manifest.json"), manifest).unwrap();
+    let recorded = recorded_scenes(folder.path()).unwrap().unwrap();
+    let note = scene.read_older_form().unwrap();
+    assert_eq!(
+        note,
+        "solver.gravity: found 1.6, read as -1.6: gravity is along y, and negative is down"
+    );
+    assert_eq!(recorded[&0], scene);
+    assert_eq!(scene.read_older_form(), None, "it has the present form now");
+
+    // The request reads it, too, and gives the frames of then.
+    let digest = manifest.split("\"sha256\":\"").nth(1).unwrap().split('"').next().unwrap();
+    let older: Scene = eddy_settings::load(Path::new(file)).unwrap();
+    let (settings, source) = (Settings::default(), Source::Written(Box::new(older)));
+    let request = SimulationRequest { source, settings, ..request(1) };
+    let (_other, output) = output();
+    let summary = simulate(&request, &output, &Silent, None).unwrap();
+    assert_eq!(summary.finished[0].sha256, digest);
+    let bag = BagReader::open(&output.join(directory(0))).unwrap();
+    assert_eq!(bag.custom_data()["eddy_gravity"], "-1.6");
 }

@@ -16,7 +16,7 @@ use super::{
     side_by_side,
 };
 use eddy_frames::{counted, progress::Progress};
-use eddy_mpm::Accelerator;
+use eddy_mpm::{Accelerator, MpmError};
 
 /// Outcome of a request.
 #[derive(Debug)]
@@ -140,16 +140,19 @@ impl Workers<'_> {
         let mut simulation = self.job.start(planned)?;
         let mut recording = Recording::begin(self.store, &planned.start)?;
         let mut frames = 0;
-        while let Some(frame) = simulation.next_frame()? {
-            if self.stops() {
-                return Ok(None);
-            }
+        let stops = || self.stops();
+        loop {
+            let frame = match simulation.next_frame_unless(&stops) {
+                Err(MpmError::Cancelled) => return Ok(None),
+                frame => frame?,
+            };
+            let Some(frame) = frame else { break };
             recording.add(&frame, &simulation)?;
             frames += 1;
             self.progress.advance(1);
         }
         self.progress.advance(planned.most_frames - frames);
-        let finished = recording.finish()?;
+        let finished = recording.finish(&simulation)?;
         self.store.deliver(&finished)?;
         Ok(Some(finished))
     }
