@@ -103,9 +103,10 @@ fn a_thrown_body_ends_as_with_five_times_the_substeps_or_is_refused() {
     // Water resists any impact; the stress of the other laws vanishes in matter that is crushed.
     assert!(refused((Material::Liquid, Law::Water)).is_empty());
     for matter in [(Material::Jelly, Law::Water), (Material::Liquid, Law::Taichi)] {
-        assert_eq!(refused(matter).first(), Some(&20.0), "{matter:?}");
+        let found = refused(matter);
+        assert!(found.contains(&20.0) && !found.contains(&5.0), "{matter:?}: {found:?}");
     }
-    assert!(refused((Material::Rope, Law::Water)).iter().all(|&speed| speed > 30.0));
+    assert!(refused((Material::Rope, Law::Water)).iter().all(|&speed| speed >= 30.0));
 }
 
 #[test]
@@ -127,7 +128,7 @@ fn an_impact_has_more_substeps_in_its_frames_and_the_same_ones_again() {
 
 #[test]
 fn a_jet_and_a_strong_pull_are_right_or_refused() {
-    let jet = |material, speed| {
+    let jet = |material, speed: f32| {
         let emitter = Emitter {
             material,
             position: [0.3, 0.5],
@@ -139,7 +140,7 @@ fn a_jet_and_a_strong_pull_are_right_or_refused() {
         scene.frames.duration = 0.2;
         scene
     };
-    let pulled = |material, gravity| {
+    let pulled = |material, gravity: f32| {
         let mut scene = thrown(material, Law::Water, 1e-3);
         (scene.solver.gravity, scene.frames.duration) = (gravity, 0.2);
         scene
