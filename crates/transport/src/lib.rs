@@ -7,7 +7,7 @@
 //! 4. `discovered`: topics found on a transport.
 //! 5. `queue`: the bounded queue between a middleware's thread and a subscriber.
 //! 6. `membership`: groups of processes that share work.
-//! 7. `patience`: how long a blocking publisher waits.
+//! 7. `patience`: how long a blocking publisher waits; `descriptors`: file descriptors of this process.
 //! 8. `memory`: within this process.
 //! 9. `shm`: shared memory (iceoryx2).
 //! 10. `zenoh`: the wire format of ROS 2's rmw_zenoh.
@@ -24,6 +24,7 @@ mod address;
 mod bare;
 #[cfg(feature = "dds")]
 mod dds;
+mod descriptors;
 mod discovered;
 #[cfg(feature = "lab")]
 pub mod foreign;
@@ -60,6 +61,7 @@ pub use discovered::{SeenService, SeenTopic};
 pub use transports::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
 
 use std::{
+    path::PathBuf,
     sync::{Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
@@ -171,6 +173,25 @@ pub enum TransportError {
         "{link}: found a message of {found} bytes, expected at most {limit} (use shm or zenoh for larger ones)"
     )]
     TooLarge { link: Link, found: usize, limit: usize },
+    /// The name of the topic or the node is too long for the transport (bytes).
+    #[error("{link}: found a name of {found} bytes, expected at most {limit}")]
+    LongName { link: Link, found: usize, limit: usize },
+    /// This process may not open as many files as the transport needs.
+    #[error(
+        "{link}: needs {needed} more open files, found {open} open of {limit}, the most that this process may open: raise the \
+         limit (`ulimit -n {}`, `nofile` in /etc/security/limits.conf, LimitNOFILE= in a systemd unit, docker's --ulimit) or \
+         use fewer topics",
+        open.saturating_add(*needed)
+    )]
+    Descriptors { link: Link, needed: u64, open: u64, limit: u64 },
+    /// Files of shared memory belong to another user.
+    #[error(
+        "{link}: found {} of the user with id {owner}, expected files of the user with id {user}, who runs this program: run \
+         all programs that share memory as one user, or set `root-path` and `prefix` below [global] in \
+         ~/.config/iceoryx2/iceoryx2.toml of this one",
+        path.display()
+    )]
+    OtherUser { link: Link, path: PathBuf, owner: u32, user: u32 },
     /// The transport has no groups.
     #[error(
         "group: found {link}, expected a topic on zenoh, whose liveliness tokens say who is alive"

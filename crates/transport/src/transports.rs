@@ -9,7 +9,11 @@ use std::{
 
 use super::{
     Handler, Link, Membership, Publisher, Reliability, SeenService, SeenTopic, Served, Subscriber,
-    TransportError, TransportKind, lock, memory::Broker, middleware::Middleware,
+    TransportError, TransportKind,
+    descriptors::{self, Cost},
+    lock,
+    memory::Broker,
+    middleware::Middleware,
     patience::Patience,
 };
 use eddy_messages::{
@@ -28,7 +32,9 @@ pub struct TransportOptions {
     pub node_name: String,
     /// Namespace of the node, such as `/robot1` [default: `/`].
     pub namespace: String,
-    /// ROS domain id, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Zenoh and DDS do not see topics of other domains.
+    /// Security enclave of the node, which Zenoh announces [default: `/`, none].
+    pub enclave: String,
+    /// ROS domain id, 0 to 232 [default: 0, `ROS_DOMAIN_ID`]. Topics of other domains are not seen.
     pub domain_id: u16,
     /// How long a blocking publisher waits for a subscriber that does not read [default: 30 s].
     pub patience: Duration,
@@ -92,6 +98,7 @@ impl TransportOptions {
         Self {
             node_name: node_name.to_owned(),
             namespace: "/".to_owned(),
+            enclave: "/".to_owned(),
             domain_id: 0,
             patience: Duration::from_secs(30),
             zenoh: ZenohOptions::default(),
@@ -171,6 +178,35 @@ impl Transports {
         Self { shared: Arc::new(Shared { options, patience, open: Default::default() }) }
     }
 
+    /// Ensures that this process may open the files that so many more publishers and subscribers need, and raises its limit
+    /// where the system permits that. Each is checked again when it is opened; this is for a program that opens many, and is to
+    /// fail before it starts.
+    ///
+    /// # Errors
+    /// [`TransportError::Descriptors`] with the numbers.
+    pub fn reserve(
+        &self,
+        transport: TransportKind,
+        publishers: usize,
+        subscribers: usize,
+    ) -> Result<(), TransportError> {
+        let link = Link { transport, topic: "/".to_owned() };
+        self.ensure(&link, publishers, subscribers)
+    }
+
+    fn ensure(
+        &self,
+        link: &Link,
+        publishers: usize,
+        subscribers: usize,
+    ) -> Result<(), TransportError> {
+        let Cost { middleware, publisher, subscriber } = cost(link.transport);
+        let is_open = lock(&self.shared.open[link.transport as usize]).is_some();
+        let ports = publishers as u64 * publisher + subscribers as u64 * subscriber;
+        let needed = ports + if is_open { 0 } else { middleware };
+        if needed == 0 { Ok(()) } else { descriptors::ensure(link, needed) }
+    }
+
     /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
     ///
     /// # Errors
@@ -210,6 +246,7 @@ impl Transports {
         reliability: Reliability,
         offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
+        self.ensure(link, 1, 0)?;
         self.middleware(link)?.publisher(link, support, reliability, offered)
     }
 
@@ -249,6 +286,7 @@ impl Transports {
         support: &TypeSupport,
         requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
+        self.ensure(link, 0, 1)?;
         self.middleware(link)?.subscriber(link, support, requested)
     }
 
@@ -382,9 +420,27 @@ impl Transports {
         let mut slot = lock(slot);
         let opened = match slot.take() {
             Some(opened) => opened,
-            None => open(link, &self.shared.options, &self.shared.patience)?,
+            None => {
+                descriptors::ensure(link, cost(link.transport).middleware)?;
+                open(link, &self.shared.options, &self.shared.patience)?
+            }
         };
         Ok(Arc::clone(slot.insert(opened)))
+    }
+}
+
+/// The file descriptors that a transport opens.
+fn cost(transport: TransportKind) -> Cost {
+    match transport {
+        TransportKind::Memory => Cost::default(),
+        #[cfg(feature = "shm")]
+        TransportKind::Shm => super::shm::COST,
+        #[cfg(feature = "zenoh")]
+        TransportKind::Zenoh => super::zenoh::COST,
+        #[cfg(feature = "dds")]
+        TransportKind::Dds => super::dds::COST,
+        #[cfg(not(all(feature = "shm", feature = "zenoh", feature = "dds")))]
+        _ => Cost::default(),
     }
 }
 

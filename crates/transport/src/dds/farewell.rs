@@ -4,9 +4,15 @@
 //! QoS (`rtps/message.rs`, `data_msg`). Fast DDS 3 takes the key from the key hash, or from a payload of at most 16 bytes
 //! (`rtps/messages/MessageReceiver.cpp`, `proc_Submsg_Data`); the payload of RustDDS has 28, so that Fast DDS ignores the
 //! message and keeps the node in the ROS graph until its lease of 50 s ends. Therefore the message is sent once more,
-//! with the key hash, when the participant is closed.
+//! with the key hash, when the participant is closed. Discovery of participants is best effort, so it is repeated: a receiver that
+//! is busy may lose one, but hardly those after its next turn on the processor. The node itself leaves the graph before that, by a
+//! reliable message ([`Graph::leave`](super::graph::Graph::leave)).
 
-use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::{
+    net::{Ipv4Addr, SocketAddrV4, UdpSocket},
+    thread,
+    time::Duration,
+};
 
 use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity};
 
@@ -27,8 +33,17 @@ const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 /// `ENTITYID_SPDP_BUILTIN_PARTICIPANT_READER` and `..._WRITER` (RTPS 2.5, 9.3.2.1).
 const READER: [u8; 4] = [0, 1, 0, 0xc7];
 const WRITER: [u8; 4] = [0, 1, 0, 0xc2];
-/// Beyond the sequence number of any earlier message of the writer, as readers skip older ones.
+/// Beyond the sequence number of any earlier message of the writer, as readers skip older ones. Repetitions have the same, so that a
+/// reader takes one of them.
 const SEQUENCE: i64 = 1 << 32;
+/// Pauses before each message: a turn of a busy process on a processor is 3 ms (Linux, `sched_base_slice`) times the number of
+/// such processes.
+const PAUSES: [Duration; 4] = [
+    Duration::ZERO,
+    Duration::from_millis(10),
+    Duration::from_millis(40),
+    Duration::from_millis(150),
+];
 /// Parameters of the inline QoS (9.6.4).
 const PID_KEY_HASH: u16 = 0x0070;
 const PID_STATUS_INFO: u16 = 0x0071;
@@ -52,6 +67,15 @@ impl Farewell {
 
 impl Drop for Farewell {
     fn drop(&mut self) {
+        for pause in PAUSES {
+            thread::sleep(pause);
+            self.send();
+        }
+    }
+}
+
+impl Farewell {
+    fn send(&self) {
         let unicast = unicast_ports(self.domain_id);
         let machine = unicast.map(|port| SocketAddrV4::new(Ipv4Addr::LOCALHOST, port));
         send(&self.message, Ipv4Addr::LOCALHOST, machine);
@@ -117,6 +141,24 @@ mod tests {
         expected.extend(bytes);
         expected.extend(b"\x71\x00\x04\x00\x00\x00\x00\x03\x01\x00\x00\x00");
         assert_eq!(message(guid), expected);
+    }
+
+    /// A receiver that loses the first message, as a busy one does.
+    #[test]
+    fn a_participant_that_misses_the_first_message_receives_another() {
+        const DOMAIN: u16 = 231;
+        let bound = unicast_ports(DOMAIN)
+            .find_map(|port| UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).ok())
+            .unwrap();
+        bound.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+        let message = message(GUID::new_participant_guid());
+        let range = DiscoveryRange::Localhost;
+        drop(Farewell { message: message.clone(), domain_id: DOMAIN, range });
+        let mut bytes = [0; 256];
+        for _ in PAUSES {
+            let length = bound.recv(&mut bytes).unwrap();
+            assert_eq!(bytes[..length], message);
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use std::{
         Arc, Mutex, Weak,
         atomic::{AtomicU64, Ordering},
     },
+    time::Duration,
 };
 
 use ros2_client::{
@@ -32,6 +33,9 @@ use crate::{Link, TransportError, TransportOptions, lock};
 
 /// Number of endpoints that are remembered after their end, the latest.
 const MAX_ENDED: usize = 1_024;
+
+/// Longest wait for the others to know that the node leaves.
+const LEAVING: Duration = Duration::from_millis(500);
 
 pub(super) struct Graph {
     state: Arc<Mutex<State>>,
@@ -175,6 +179,12 @@ impl Graph {
         lock(&self.state).vanished.get(&writer).copied().unwrap_or_default()
     }
 
+    /// Removes the node from the graph, and waits until the others know. A participant that is still listed would come back for
+    /// a process that handles an earlier announcement after the end of the participant.
+    pub(super) fn leave(&self) {
+        lock(&self.announcer).leave();
+    }
+
     fn announce(&self, change: impl FnOnce(&mut Announcer)) {
         let mut announcer = lock(&self.announcer);
         change(&mut announcer);
@@ -206,7 +216,20 @@ impl Announcer {
         let mut node = NodeEntitiesInfo::new(self.name.clone());
         self.readers.iter().for_each(|&reader| node.add_reader(reader.into()));
         self.writers.iter().for_each(|&writer| node.add_writer(writer.into()));
-        let info = ParticipantEntitiesInfo::new(self.participant, vec![node]);
+        self.write(vec![node]);
+    }
+
+    fn leave(&self) {
+        self.write(Vec::new());
+        match self.writer.wait_for_acknowledgments(LEAVING) {
+            Ok(true) => {}
+            Ok(false) => tracing::debug!("ros_discovery_info: not everybody knows of the end"),
+            Err(error) => tracing::debug!("ros_discovery_info: {error}"),
+        }
+    }
+
+    fn write(&self, nodes: Vec<NodeEntitiesInfo>) {
+        let info = ParticipantEntitiesInfo::new(self.participant, nodes);
         if let Err(error) = self.writer.write(info, Some(Timestamp::now())) {
             tracing::warn!("ros_discovery_info: {error}");
         }

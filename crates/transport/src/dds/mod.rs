@@ -53,6 +53,7 @@ use ros2_client::dds::rustdds::{self, DomainParticipant, Topic, TopicKind};
 use super::{
     DiscoveryRange, Handler, Link, Publisher, Reliability, SeenService, SeenTopic, Served,
     Subscriber, TransportError, TransportKind, TransportOptions,
+    descriptors::Cost,
     middleware::{Middleware, error as middleware},
     patience::Patience,
 };
@@ -63,6 +64,9 @@ use publisher::DdsPublisher;
 use service::DdsService;
 use subscriber::DdsSubscriber;
 use writers::RemoteWriter;
+
+/// Measured; a test compares.
+pub(super) const COST: Cost = Cost { middleware: 80, publisher: 8, subscriber: 12 };
 
 /// This process in the ROS graph.
 pub(super) struct DdsNode {
@@ -117,6 +121,12 @@ impl DdsNode {
         self.participant
             .create_topic(name, type_name, &qos::topic(), TopicKind::NoKey)
             .map_err(|error| middleware(link, "create the topic", &error))
+    }
+}
+
+impl Drop for DdsNode {
+    fn drop(&mut self) {
+        self.graph.leave();
     }
 }
 

@@ -15,8 +15,11 @@ use eddy_messages::{
 /// Prefix of ROS topics in DDS.
 const TOPIC: &str = "rt";
 /// Key of the type hash in the user data of an endpoint, `typehash=RIHS01_...;`
-/// (`rmw_dds_common/src/qos.cpp`, `parse_type_hash_from_user_data`).
-const TYPE_HASH: &str = "typehash=";
+/// (`rmw_dds_common/src/qos.cpp`, `parse_type_hash_from_user_data`). Other keys are skipped, such as those of ROS 2 Lyrical for the
+/// memory that an endpoint accepts (`bufbe=...;`, `BUFBE:...;`).
+const TYPE_HASH: &str = "typehash";
+/// Bytes of the length before the user data.
+const LENGTH: usize = 4;
 
 /// A writer of a ROS topic.
 pub(super) struct RemoteWriter {
@@ -60,9 +63,9 @@ fn of_ros(writer: &DiscoveredWriterData) -> Option<RemoteWriter> {
 
 /// The type hash in the user data of an endpoint, which RustDDS returns as on the wire: after its length.
 fn type_hash(user_data: &[u8]) -> Option<String> {
-    let text = String::from_utf8_lossy(user_data);
-    let (_, after) = text.split_once(TYPE_HASH)?;
-    let hash = after.split(';').next()?;
+    let text = String::from_utf8_lossy(user_data.get(LENGTH..)?);
+    let mut pairs = text.split(';').filter_map(|pair| pair.split_once('='));
+    let (_, hash) = pairs.find(|(key, _)| *key == TYPE_HASH)?;
     hash.starts_with("RIHS01_").then(|| hash.to_owned())
 }
 
@@ -76,12 +79,23 @@ mod tests {
         for text in [
             format!("typehash={hash};"),
             format!("other=1;typehash={hash};more=2;"),
-            format!("\u{51}\0\0\0typehash={hash};\0\0\0"),
+            format!("typehash={hash};\0\0\0"),
+            // As in ROS 2 Lyrical.
+            format!("typehash={hash};bufbe=cpu;"),
+            format!("BUFBE:cpu,cuda;typehash={hash};"),
+            format!("bufbe=typehash=RIHS01_0;typehash={hash};"),
         ] {
-            assert_eq!(type_hash(text.as_bytes()), Some(hash.clone()), "{text}");
+            assert_eq!(type_hash(&on_the_wire(&text)), Some(hash.clone()), "{text}");
         }
-        for text in ["", "typehash=;", "typehash=INVALID;", "\u{ff}enclave=/;"] {
-            assert_eq!(type_hash(text.as_bytes()), None, "{text}");
+        for text in
+            ["", "typehash=;", "typehash=INVALID;", "\u{ff}enclave=/;", "notypehash=RIHS01_0;"]
+        {
+            assert_eq!(type_hash(&on_the_wire(text)), None, "{text}");
         }
+        assert_eq!(type_hash(b""), None);
+    }
+
+    fn on_the_wire(text: &str) -> Vec<u8> {
+        [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
     }
 }

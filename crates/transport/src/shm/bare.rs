@@ -42,7 +42,7 @@ pub(crate) fn pair(link: &Link, frame: &Frame, touched: bool) -> Result<BarePair
     let name: ServiceName = format!("bare{}", link.topic)
         .as_str()
         .try_into()
-        .map_err(|error| failed("name the service")(&format!("{error:?}")))?;
+        .map_err(|_| failed("name the service")(&"the topic has too long a name"))?;
     let node = || NodeBuilder::new().create::<Ipc>().map_err(|e| failed("open shared memory")(&e));
     let (here, there) = (node()?, node()?);
     let samples = |node: &Node<Ipc>| {

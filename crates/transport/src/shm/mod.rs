@@ -1,13 +1,15 @@
 //! Shared memory (iceoryx2): subscribers read frames where the publisher wrote them.
 //!
 //! 1. [`layout`]: memory layout of a frame.
-//! 2. [`service`]: opens the services of a topic and removes the resources of killed processes.
+//! 2. [`service`]: opens the services of a topic and removes the resources of killed processes; [`names`]: what they are called;
+//!    [`failure`]: why iceoryx2 fails.
 //! 3. [`publisher`]: writes messages into loaned memory, sends them and wakes the subscribers; [`backpressure`]: which of
 //!    them it waits for.
 //! 4. [`subscriber`]: waits for messages; [`shared_frame`]: a frame that is read in place.
 //! 5. [`bare`]: iceoryx2 used directly, for benchmarks.
 //!
-//! The service of a topic is called `eddy<topic>`, such as `eddy/particles`. Frames are sent as a slice of `Particle` with
+//! The service of a topic is called `eddy<topic>`, such as `eddy/particles`, and in a ROS domain other than 0
+//! `eddy<domain>:<topic>`. Frames are sent as a slice of `Particle` with
 //! a [`FrameHeader`](layout::FrameHeader), other messages as CDR bytes. An event service of the same name wakes
 //! subscribers: event 0 is a new sample.
 //!
@@ -21,7 +23,9 @@
 mod backpressure;
 #[cfg(feature = "lab")]
 pub(super) mod bare;
+mod failure;
 pub(super) mod layout;
+mod names;
 mod publisher;
 mod service;
 mod shared_frame;
@@ -35,7 +39,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use super::BarePublisher;
 use super::{
     Link, Publisher, Reliability, SeenTopic, Subscriber, TransportError, TransportOptions,
-    middleware::Middleware, patience::Patience, transports::is_frames,
+    descriptors::Cost, middleware::Middleware, patience::Patience, transports::is_frames,
 };
 pub use service::SharedMemory;
 pub use shared_frame::SharedFrame;
@@ -47,6 +51,9 @@ use layout::{FrameHeader, SharedParticle};
 use publisher::{BytesPublisher, FramePublisher, Writer};
 use service::Services;
 use subscriber::{BytesSubscriber, FrameSubscriber, Reader};
+
+/// Measured; a test compares.
+pub(super) const COST: Cost = Cost { middleware: 8, publisher: 8, subscriber: 8 };
 
 /// The shared memory of this process.
 pub(super) struct ShmNode {
@@ -61,7 +68,7 @@ impl ShmNode {
         options: &TransportOptions,
         patience: Patience,
     ) -> Result<Self, TransportError> {
-        let services = Services::open(link, &options.node_name)?;
+        let services = Services::open(link, options)?;
         Ok(Self { services, patience })
     }
 }

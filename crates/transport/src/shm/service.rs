@@ -24,9 +24,9 @@ use iceoryx2::{
     },
 };
 
-use super::layout::SharedParticle;
-pub(super) use crate::middleware::error as middleware;
-use crate::{Link, SeenTopic, TransportError, TransportKind, lock};
+pub(super) use super::failure::error as middleware;
+use super::{layout::SharedParticle, names};
+use crate::{Link, SeenTopic, TransportError, TransportOptions, lock};
 use eddy_messages::{Message, ParticleFrame, topic_type};
 
 /// The iceoryx2 variant whose ports may move between threads.
@@ -60,6 +60,7 @@ const TYPE_ATTRIBUTE: &str = "type";
 pub(super) struct Services {
     // A mutex only for thread safety: opening is rare.
     node: Mutex<Node<Ipc>>,
+    domain_id: u16,
     cleaner: Cleaner,
 }
 
@@ -67,9 +68,14 @@ pub(super) struct Services {
 pub(super) type Cleaner = mpsc::Sender<()>;
 
 impl Services {
-    pub(super) fn open(link: &Link, node_name: &str) -> Result<Self, TransportError> {
+    pub(super) fn open(link: &Link, options: &TransportOptions) -> Result<Self, TransportError> {
         let failed = |error: &dyn Display| middleware(link, "open shared memory", error);
-        let name = NodeName::new(node_name).map_err(|error| failed(&format!("{error:?}")))?;
+        let name = &options.node_name;
+        let name = NodeName::new(name).map_err(|_| TransportError::LongName {
+            link: link.clone(),
+            found: name.len(),
+            limit: NodeName::max_len(),
+        })?;
         let node = NodeBuilder::new()
             .name(&name)
             // The program handles signals.
@@ -77,7 +83,7 @@ impl Services {
             .create::<Ipc>()
             .map_err(|error| failed(&error))?;
         let cleaner = spawn_cleaner(node.config().clone()).map_err(|error| failed(&error))?;
-        Ok(Self { node: Mutex::new(node), cleaner })
+        Ok(Self { node: Mutex::new(node), domain_id: options.domain_id, cleaner })
     }
 
     /// For ports, which may outlive these services.
@@ -95,7 +101,7 @@ impl Services {
         P: Debug + ZeroCopySend,
         H: Debug + ZeroCopySend,
     {
-        let name = service_name(link)?;
+        let name = names::service(self.domain_id, link)?;
         let node = lock(&self.node);
         let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
         let mut last = String::new();
@@ -141,7 +147,7 @@ impl Services {
         let node = lock(&self.node);
         let mut topics = Vec::new();
         Ipc::list(node.config(), |service| {
-            topics.extend(discovered(&service.static_details));
+            topics.extend(discovered(self.domain_id, &service.static_details));
             CallbackProgression::Continue
         })
         .map_err(|error| middleware(link, "list the services", &format!("{error:?}")))?;
@@ -150,7 +156,7 @@ impl Services {
 
     /// The service that wakes the subscribers of a topic.
     pub(super) fn events(&self, link: &Link) -> Result<Events, TransportError> {
-        let name = service_name(link)?;
+        let name = names::service(self.domain_id, link)?;
         let node = lock(&self.node);
         let mut last = String::new();
         for attempt in 0..ATTEMPTS {
@@ -205,16 +211,14 @@ impl Display for SharedMemory {
     }
 }
 
-/// The topic of a service; `None` if its name is not that of a topic.
-fn discovered(service: &StaticConfig) -> Option<SeenTopic> {
+/// The topic of a service; `None` if its name is not that of a topic in this domain.
+fn discovered(domain_id: u16, service: &StaticConfig) -> Option<SeenTopic> {
     let messaging_pattern::MessagingPattern::PublishSubscribe(details) =
         service.messaging_pattern()
     else {
         return None;
     };
-    let topic =
-        service.name().as_str().strip_prefix("eddy").filter(|name| name.starts_with('/'))?;
-    let link = format!("{}:{topic}", TransportKind::Shm).parse().ok()?;
+    let link = names::topic(domain_id, service.name())?;
     let declared = TYPE_ATTRIBUTE
         .try_into()
         .ok()
@@ -222,7 +226,7 @@ fn discovered(service: &StaticConfig) -> Option<SeenTopic> {
     let of_frames = details.message_type_details().payload.type_name()
         == TypeDetail::new::<SharedParticle>(TypeVariant::Dynamic).type_name();
     let type_name = declared.or_else(|| {
-        let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(topic) };
+        let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(&link.topic) };
         (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())
     })?;
     Some(SeenTopic::new(link, type_name))
@@ -259,11 +263,6 @@ fn remove_abandoned(link: &Link, name: &ServiceName, config: &Config, pattern: M
         Ok(()) => tracing::warn!("{link}: removed what a killed process left of the topic"),
         Err(error) => tracing::debug!("{link}: {}: {error}", file.display()),
     }
-}
-
-fn service_name(link: &Link) -> Result<ServiceName, TransportError> {
-    ServiceName::new(&format!("eddy{}", link.topic))
-        .map_err(|error| middleware(link, "name the service", &format!("{error:?}")))
 }
 
 fn attributes(type_name: &str) -> AttributeSpecifier {
@@ -363,7 +362,7 @@ mod tests {
     #[test]
     fn a_topic_that_was_half_created_or_removed_is_created_anew() {
         let link = Link::shm(&format!("/abandoned_{}", std::process::id()));
-        let services = Services::open(&link, "eddy_test").unwrap();
+        let services = Services::open(&link, &TransportOptions::new("eddy_test")).unwrap();
         let type_name = "std_msgs/msg/String";
         let opened =
             (services.topic::<u8, ()>(&link, type_name).unwrap(), services.events(&link).unwrap());

@@ -18,7 +18,7 @@ use std::{
 use serde_json::json;
 use zenoh::{Config, Session, Wait};
 
-use super::middleware;
+use super::{failure::words, middleware};
 use crate::{Lease, Link, TransportError, TransportOptions, ZenohOptions};
 
 const FILE_VARIABLE: &str = "ZENOH_SESSION_CONFIG_URI";
@@ -46,7 +46,7 @@ pub(super) fn open(
         let config = Config::from_file(path).map_err(|error| TransportError::Environment {
             variable: FILE_VARIABLE,
             found: path.display().to_string(),
-            expected: format!("a zenoh configuration file: {error}"),
+            expected: format!("a zenoh configuration file ({})", words(&error)),
         })?;
         return open_with(link, config, &overrides);
     }
@@ -78,7 +78,7 @@ fn open_with(
         config.insert_json5(key, value).map_err(|error| TransportError::Environment {
             variable: OVERRIDE_VARIABLE,
             found: format!("{key}={value}"),
-            expected: format!("a zenoh setting and its JSON5 value: {error}"),
+            expected: format!("a setting of zenoh and its value in JSON5 ({})", words(&error)),
         })?;
     }
     let lease = lease(&config).map_err(|error| middleware(link, "configure", &error))?;
@@ -188,7 +188,8 @@ mod tests {
         let message = open_with_overrides("mode");
         assert_eq!(message, "ZENOH_CONFIG_OVERRIDE: found `mode`, expected key=value;key=value");
         let message = open_with_overrides("mood=\"peer\"");
-        assert!(message.starts_with("ZENOH_CONFIG_OVERRIDE: found `mood=\"peer\"`"), "{message}");
+        let expected = "ZENOH_CONFIG_OVERRIDE: found `mood=\"peer\"`, expected a setting of zenoh";
+        assert!(message.starts_with(expected) && !message.contains(".rs"), "{message}");
     }
 
     #[test]

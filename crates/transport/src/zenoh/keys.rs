@@ -13,6 +13,9 @@ use eddy_messages::{
 
 /// First chunk of every liveliness token.
 const ADMIN_SPACE: &str = "@ros2_lv";
+/// The QoS of an endpoint, and chunks after it: ROS 2 Lyrical appends the memory that an endpoint accepts, such as
+/// `backends:cpu`, to the tokens of messages with a `uint8[]` field (rmw_zenoh, pull request 930).
+const QOS_AND_MORE: &str = "*/**";
 /// Replaces an empty enclave or namespace, and `/` in names.
 const EMPTY: &str = "%";
 /// Codes of policies (`rmw/types.h`); the others are the defaults, which are left out.
@@ -56,6 +59,8 @@ impl Side {
 pub(super) struct Node {
     pub(super) domain_id: u16,
     pub(super) zid: ZenohId,
+    /// Security enclave, such as `/robots`; `/` is none.
+    pub(super) enclave: String,
     /// ROS namespace, such as `/robot1`.
     pub(super) namespace: String,
     pub(super) name: String,
@@ -64,14 +69,14 @@ pub(super) struct Node {
 impl Node {
     /// `@ros2_lv/<domain>/<zid>/<nid>/<nid>/NN/<enclave>/<namespace>/<node>`; the node has id 0.
     pub(super) fn token(&self) -> String {
-        let Self { domain_id, zid, name, .. } = self;
-        let namespace = self.mangled_namespace();
-        format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{EMPTY}/{namespace}/{name}")
+        let Self { domain_id, zid, .. } = self;
+        format!("{ADMIN_SPACE}/{domain_id}/{zid}/0/0/NN/{}", self.place())
     }
 
-    /// `/` becomes `%`, `/robot1` becomes `%robot1`.
-    fn mangled_namespace(&self) -> String {
-        self.namespace.replace('/', EMPTY)
+    /// `<enclave>/<namespace>/<node>`: `/` becomes `%`, `/robot1` becomes `%robot1`.
+    fn place(&self) -> String {
+        let [enclave, namespace] = [&self.enclave, &self.namespace].map(|name| mangled(name));
+        format!("{enclave}/{namespace}/{}", self.name)
     }
 }
 
@@ -98,9 +103,8 @@ impl Endpoint {
         support: &TypeSupport,
         qos: &str,
     ) -> Self {
-        let Node { domain_id, zid, name, .. } = node;
-        let namespace = node.mangled_namespace();
-        let (topic, mangled) = (link.topic.trim_matches('/'), link.topic.replace('/', "%"));
+        let (Node { domain_id, zid, .. }, place) = (node, node.place());
+        let (topic, mangled) = (link.topic.trim_matches('/'), mangled(&link.topic));
         let (type_name, hash) = (dds_type(&support.name), &support.hash);
         let (code, other) = (side.code(), side.peer_code());
         Self {
@@ -108,9 +112,11 @@ impl Endpoint {
             type_name: support.name.clone(),
             key: format!("{domain_id}/{topic}/{type_name}/{hash}"),
             token: format!(
-                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{EMPTY}/{namespace}/{name}/{mangled}/{type_name}/{hash}/{qos}"
+                "{ADMIN_SPACE}/{domain_id}/{zid}/0/{id}/{code}/{place}/{mangled}/{type_name}/{hash}/{qos}"
             ),
-            peers: format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/*"),
+            peers: format!(
+                "{ADMIN_SPACE}/{domain_id}/*/*/*/{other}/*/*/*/{mangled}/*/*/{QOS_AND_MORE}"
+            ),
         }
     }
 
@@ -118,6 +124,11 @@ impl Endpoint {
     pub(super) fn gid(&self) -> [u8; 16] {
         gid(&self.token)
     }
+}
+
+/// A name as one chunk of a token.
+fn mangled(name: &str) -> String {
+    name.replace('/', EMPTY)
 }
 
 pub(super) fn gid(token: &str) -> [u8; 16] {
@@ -137,12 +148,16 @@ pub(crate) fn topic_in(token: &str) -> Option<String> {
 
 /// The tokens of all publishers of a domain.
 pub(super) fn publishers(domain_id: u16) -> String {
-    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Publisher.code())
+    endpoints(domain_id, Side::Publisher)
 }
 
 /// The tokens of all services of a domain.
 pub(super) fn services(domain_id: u16) -> String {
-    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/*", Side::Service.code())
+    endpoints(domain_id, Side::Service)
+}
+
+fn endpoints(domain_id: u16, side: Side) -> String {
+    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{}/*/*/*/*/*/*/{QOS_AND_MORE}", side.code())
 }
 
 /// The key of a service.
@@ -153,9 +168,11 @@ pub(super) fn service(domain_id: u16, name: &str, type_name: &str, hash: &str) -
 
 /// The tokens of the publishers of a topic with this type.
 pub(super) fn publishers_of(domain_id: u16, topic: &str, type_name: &str, hash: &str) -> String {
-    let (code, mangled) = (Side::Publisher.code(), topic.replace('/', EMPTY));
+    let (code, mangled) = (Side::Publisher.code(), mangled(topic));
     let type_name = dds_type(type_name);
-    format!("{ADMIN_SPACE}/{domain_id}/*/*/*/{code}/*/*/*/{mangled}/{type_name}/{hash}/*")
+    format!(
+        "{ADMIN_SPACE}/{domain_id}/*/*/*/{code}/*/*/*/{mangled}/{type_name}/{hash}/{QOS_AND_MORE}"
+    )
 }
 
 /// The key of the service of the node with this token, or of the node of this endpoint, that describes its types.
@@ -243,8 +260,9 @@ mod tests {
     const ZID: &str = "1234567890abcdef1234567890abcdef";
 
     fn node() -> Node {
-        let (namespace, name) = ("/".to_owned(), "eddy_node".to_owned());
-        Node { domain_id: 7, zid: ZID.parse().unwrap(), namespace, name }
+        let [enclave, namespace] = ["/"; 2].map(str::to_owned);
+        let (zid, name) = (ZID.parse().unwrap(), "eddy_node".to_owned());
+        Node { domain_id: 7, zid, enclave, namespace, name }
     }
 
     fn endpoint(link: &str, type_name: &str, side: Side, qos: &str) -> Endpoint {
@@ -286,7 +304,7 @@ mod tests {
                 "@ros2_lv/7/{ZID}/0/3/MS/%/%/eddy_node/%prediction%raw/{name}/{hash}/2::,64:,:,:,,"
             )
         );
-        assert_eq!(endpoint.peers, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*");
+        assert_eq!(endpoint.peers, "@ros2_lv/7/*/*/*/MP/*/*/*/%prediction%raw/*/*/*/**");
     }
 
     #[test]
@@ -295,13 +313,19 @@ mod tests {
     }
 
     #[test]
-    fn a_namespace_is_mangled_in_tokens_and_absent_from_keys() {
-        let node = Node { namespace: "/robot1/left".to_owned(), ..node() };
-        assert_eq!(node.token(), format!("@ros2_lv/7/{ZID}/0/0/NN/%/%robot1%left/eddy_node"));
+    fn enclave_and_namespace_are_mangled_in_tokens_and_absent_from_keys() {
+        let (enclave, namespace) = ("/robots".to_owned(), "/robot1/left".to_owned());
+        let node = Node { enclave, namespace, ..node() };
+        let expected = format!("@ros2_lv/7/{ZID}/0/0/NN/%robots/%robot1%left/eddy_node");
+        assert_eq!(node.token(), expected);
         let support = type_support(RosString::TYPE).unwrap();
         let link = "zenoh:/a".parse().unwrap();
         let endpoint = Endpoint::new(&node, 1, Side::Publisher, &link, support, "");
-        assert!(endpoint.token.contains("/MP/%/%robot1%left/eddy_node/%a/"), "{}", endpoint.token);
+        assert!(
+            endpoint.token.contains("/MP/%robots/%robot1%left/eddy_node/%a/"),
+            "{}",
+            endpoint.token
+        );
         assert!(endpoint.key.starts_with("7/a/"), "{}", endpoint.key);
     }
 
@@ -353,6 +377,27 @@ mod tests {
             let node = Node { namespace: namespace.to_owned(), ..node() };
             let expected = format!("7/{path}/get_type_description/{name}/{hash}");
             assert_eq!(describing_service(7, &node.token()), Some(expected));
+        }
+    }
+
+    /// One chunk more in ROS 2 Lyrical, perhaps more later.
+    #[test]
+    fn tokens_of_any_length_beyond_the_known_chunks_are_matched_and_read() {
+        let known = endpoint("zenoh:/a/b", ParticleFrame::TYPE, Side::Publisher, "::,7:,:,:,,");
+        let (type_name, hash) =
+            (ParticleFrame::TYPE, &type_support(ParticleFrame::TYPE).unwrap().hash);
+        let reader = endpoint("zenoh:/a/b", type_name, Side::Subscription, "");
+        let expressions = [publishers(7), publishers_of(7, "/a/b", type_name, hash), reader.peers];
+        for more in ["", "/backends:cpu", "/backends:cpu,cuda/later", "/a/b/c/d/e"] {
+            let token = format!("{}{more}", known.token);
+            for expression in &expressions {
+                let expression = zenoh::key_expr::keyexpr::new(expression).unwrap();
+                assert!(expression.intersects(token.as_str().try_into().unwrap()), "{token}");
+            }
+            assert_eq!(topic_in(&token).as_deref(), Some("/a/b"));
+            assert_eq!(type_in(&token), Some((type_name.to_owned(), hash.as_str())));
+            assert_eq!(qos_in(&token).map(|qos| qos.history), Some(HistoryPolicy::KeepLast(7)));
+            assert!(describing_service(7, &token).is_some());
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::{
     io::{BufRead, BufReader},
+    os::unix::process::CommandExt as _,
     process::{Child, ChildStdout, Command, Stdio},
     sync::mpsc,
     thread,
@@ -25,6 +26,20 @@ pub(super) struct Process {
 impl Process {
     /// Starts `role` on `link`, with the same ports and the same domain as `options`.
     pub(super) fn start(role: &str, link: &Link, options: &TransportOptions) -> Self {
+        Self::run(role, link, options, |command| command)
+    }
+
+    /// As [`Process::start`], as the user with this id, which the superuser may.
+    pub(super) fn start_as(user: u32, role: &str, link: &Link, options: &TransportOptions) -> Self {
+        Self::run(role, link, options, |command| command.uid(user).gid(user))
+    }
+
+    fn run(
+        role: &str,
+        link: &Link,
+        options: &TransportOptions,
+        change: impl FnOnce(&mut Command) -> &mut Command,
+    ) -> Self {
         let ports = &options.zenoh.ports;
         let task = format!(
             "{role} {link} {} {} {} {}",
@@ -33,12 +48,12 @@ impl Process {
             options.zenoh.router,
             options.domain_id
         );
-        let mut child = Command::new(std::env::current_exe().unwrap())
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command
             .args(["--ignored", "--exact", "child::main", "--nocapture"])
             .env(VARIABLE, task)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+            .stdout(Stdio::piped());
+        let mut child = change(&mut command).spawn().unwrap();
         let lines = read_lines(child.stdout.take().unwrap());
         Self { child, lines }
     }
@@ -123,6 +138,10 @@ fn main() {
             while subscriber.receive(Duration::from_secs(1)).unwrap().is_none() {}
         }
         "echo" => echo(&transports, &link),
+        "refused" => {
+            let refused = transports.subscriber(&link, RosString::TYPE).err();
+            println!("{}", refused.expect("it is refused"));
+        }
         other => panic!("no role {other}"),
     }
 }

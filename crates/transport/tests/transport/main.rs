@@ -9,6 +9,7 @@ mod child;
 #[expect(dead_code, reason = "the tests of the program use the rest")]
 mod client;
 mod dds;
+mod descriptors;
 mod membership;
 mod shm;
 mod suite;

@@ -6,7 +6,7 @@ use std::{
 };
 
 use eddy_messages::{Message, ParticleFrame};
-use eddy_transport::{Link, Payload, Reliability, Transports};
+use eddy_transport::{Link, Payload, Reliability, TransportKind, TransportOptions, Transports};
 use iceoryx2::prelude::*;
 
 use super::{
@@ -150,6 +150,44 @@ fn a_subscriber_that_receives_nothing_never_blocks_a_dropping_publisher() {
     eventually("the killed subscriber is forgotten", || publisher.subscribers() == 1);
 }
 
+#[test]
+fn domains_do_not_mix() {
+    let link = link("shm");
+    let in_domain = |domain_id| Transports::new(TransportOptions { domain_id, ..options() });
+    let [here, there, elsewhere] = [3, 3, 0].map(in_domain);
+    let mut same = frames_subscriber(&there, &link);
+    let mut other = frames_subscriber(&elsewhere, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    assert_eq!(publisher.subscribers(), 1);
+    publisher.publish_frame(&frame(0, 1)).unwrap();
+    expect_frame(&mut *same, &frame(0, 1));
+    assert_eq!(other.receive(Duration::from_millis(200)).unwrap(), None);
+    let lists = |transports: &Transports| {
+        let topics = transports.topics(TransportKind::Shm).unwrap();
+        topics.iter().any(|topic| topic.link == link)
+    };
+    assert!(lists(&here) && lists(&elsewhere));
+    drop((other, elsewhere));
+    eventually("the topic of domain 0 is gone", || !lists(&in_domain(0)));
+    assert!(lists(&there) && !lists(&in_domain(30)));
+}
+
+/// The superuser plays another user; others cannot.
+#[test]
+fn files_of_another_user_are_an_error_that_says_whose_they_are() {
+    if !rustix::process::geteuid().is_root() {
+        println!("not tried: this user cannot become another one");
+        return;
+    }
+    let (options, link) = (options(), link("shm"));
+    let transports = Transports::new(options.clone());
+    let _publisher = frames_publisher(&transports, &link, Reliability::Block);
+    let other = Process::start_as(65_534, "refused", &link, &options);
+    let said = other.says("of the user with id 0");
+    let expected = "expected files of the user with id 65534";
+    assert!(said.starts_with(&format!("{link}: found /")) && said.contains(expected), "{said}");
+}
+
 /// The documented layout, declared as another program would.
 #[derive(Debug, Clone, Copy, ZeroCopySend)]
 #[type_name("eddy::Particle")]
@@ -174,6 +212,7 @@ struct FrameHeader {
     upper: [f32; 2],
 }
 
+/// In domain 0.
 fn service_name(link: &Link) -> ServiceName {
     format!("eddy{}", link.topic).as_str().try_into().unwrap()
 }

@@ -214,6 +214,46 @@ fn what_each_publisher_offers_is_seen() {
     eventually("the third is seen", || offered() == Some(all.clone()));
 }
 
+/// ROS 2 Lyrical appends a chunk to its tokens (rmw_zenoh, pull request 930).
+#[test]
+fn endpoints_with_tokens_of_more_chunks_than_known_are_seen() {
+    let (options, link) = (options(), link("zenoh"));
+    let transports = Transports::new(options.clone());
+    let publisher = frames_publisher(&transports, &link, Reliability::Block);
+    let peer = plain_peer(&options);
+    let (zid, topic) = (peer.zid(), link.topic.replace('/', "%"));
+    let token = |entity: &str, topic: &str, name: &str, hash: &str| {
+        let token = format!(
+            "@ros2_lv/0/{zid}/{entity}/%/%/camera/{topic}/{name}/{hash}/::,5:,:,:,,/backends:cpu/x"
+        );
+        peer.liveliness().declare_token(token).wait().unwrap()
+    };
+    let frames = &type_support(ParticleFrame::TYPE).unwrap().hash;
+    let name = "eddy_msgs::msg::dds_::ParticleFrame_";
+    let image = format!("{topic}%image");
+    let trigger = service_hash("std_srvs/srv/Trigger").unwrap();
+    let _tokens = [
+        token("0/1/MP", &image, name, frames),
+        token("0/2/MS", &topic, name, frames),
+        token("0/3/MS", &topic, name, frames),
+        token("0/4/SS", &image, "std_srvs::srv::dds_::Trigger_", trigger),
+    ];
+    let _samples = peer.declare_subscriber(topic_key(&link)).wait().unwrap();
+    eventually("both subscribers are counted", || publisher.subscribers() == 2);
+    let image = link.with_topic(&format!("{}/image", link.topic));
+    let depth = || {
+        let topics = transports.topics(TransportKind::Zenoh).unwrap();
+        let seen = topics.into_iter().find(|topic| topic.link == image)?;
+        Some((seen.type_name, seen.offered[0].history))
+    };
+    let expected = Some((ParticleFrame::TYPE.to_owned(), HistoryPolicy::KeepLast(5)));
+    eventually("the publisher is seen", || depth() == expected);
+    eventually("the service is seen", || {
+        let services = transports.services(TransportKind::Zenoh).unwrap();
+        services.iter().any(|service| service.link == image)
+    });
+}
+
 #[test]
 fn a_subscriber_that_requests_volatile_receives_no_kept_messages() {
     let (options, link) = (options(), link("zenoh"));
