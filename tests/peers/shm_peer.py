@@ -2,7 +2,7 @@
 
     shm_peer.py listen SERVICE COUNT [--timeout S]
 
-Waits for the service (`eddy/particles`, `eddy/prediction`), reads COUNT frames, notified by the event service of the
+Waits for the service (`eddy/particles`, in a domain other than 0 `eddy<domain>:/particles`), reads COUNT frames, notified by the event service of the
 same name, and checks that their fields are consistent. Prints one line of JSON; exits with 1 and a message if a check
 fails.
 """
