@@ -34,7 +34,7 @@ pub use bag::{
     NewBagArgs, RecoverArgs, RenderArgs,
 };
 pub use calibrate::CalibrateArgs;
-pub use eval::{EvalArgs, ReferenceName};
+pub use eval::{DEFAULT_HORIZON, EvalArgs, ReferenceName};
 pub use node::{NodeArgs, RealTimeArgs};
 pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
 pub use service::{
@@ -383,6 +383,10 @@ pub struct TrainArgs {
     /// Bags, or directories of bags.
     #[arg(long, value_name = "BAG", required = true, num_args = 1..)]
     pub data: Vec<PathBuf>,
+    /// Skip streams with a frame that cannot be used (not finite, outside of the domain, far too fast, of another dt or domain
+    /// than the first stream), instead of refusing the data; they are counted and named.
+    #[arg(long)]
+    pub skip_streams: bool,
     /// Output directory for the best checkpoint, the last epoch (last/), metrics.csv and TensorBoard event files.
     #[arg(long, short, value_name = "DIR")]
     pub output: PathBuf,
@@ -464,6 +468,10 @@ pub struct PredictArgs {
     /// Topic with the frames.
     #[arg(long, default_value = "/particles")]
     pub topic: String,
+    /// Skip streams with a frame that cannot be used (not finite, outside of the domain, far too fast), instead of refusing the
+    /// bag; they are counted and named.
+    #[arg(long)]
+    pub skip_streams: bool,
     #[command(flatten)]
     pub settings: PredictOptions,
     /// Number of threads for prediction [default: one per core]; on a GPU, of those that copy frames to it and back

@@ -290,6 +290,7 @@ def evaluate(
     stiffness: float | None = None,
     references: Sequence[Literal["mpm", "chaos"]] = ...,
     threads: int | None = None,
+    skip_streams: bool = False,
 ) -> Report: ...
 def skill(
     starts: Sequence[Frame],
@@ -309,6 +310,7 @@ def train(
     precision: Literal["tf32", "fp32"] = "tf32",
     resume: bool = False,
     callback: Callable[[_Epoch], object] | None = None,
+    skip_streams: bool = False,
 ) -> _Outcome: ...
 
 class _NodeStatus(TypedDict):

@@ -340,7 +340,8 @@ impl BagWriter {
         Ok(Self { inner: Mutex::new(Some(inner)) })
     }
 
-    /// Appends a frame. Its log time is its simulation time unless given (ns).
+    /// Appends a frame. Its log time is its simulation time, counted from that of the first frame if the bag begins before 0, unless
+    /// given (ns).
     #[pyo3(signature = (frame, topic="/particles", *, log_time=None))]
     fn write_frame(
         &self,
@@ -350,10 +351,12 @@ impl BagWriter {
         log_time: Option<i64>,
     ) -> PyResult<()> {
         let frame = Arc::clone(&frame.get().inner);
-        let time = log_time.map_or(frame.stamp, Stamp);
         self.with(py, |writer| {
             let topic = writer.topic(topic, ParticleFrame::TYPE)?;
-            writer.write(topic, time, time, &frame.to_cdr())
+            match log_time {
+                None => writer.write_stamped(topic, frame.stamp, &frame.to_cdr()),
+                Some(time) => writer.write(topic, Stamp(time), Stamp(time), &frame.to_cdr()),
+            }
         })
     }
 

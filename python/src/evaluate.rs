@@ -1,10 +1,10 @@
 //! `evaluate` and `skill`: predictions beside the truth and the best trivial predictor.
 
-use std::{num::NonZeroUsize, path::PathBuf};
+use std::{num::NonZeroUsize, path::PathBuf, sync::Mutex};
 
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Reference, Settings,
-    dataset::{State, available_memory, load_trajectories},
+    dataset::{LoadOptions, State, available_memory, load_trajectories},
     position_skill,
 };
 use eddy_inference::checkpoint::Checkpoint;
@@ -14,7 +14,7 @@ use crate::{
     arrays::{Argument, array, wrong},
     errors::{EvaluationError, raise},
     frame::Frame,
-    interrupt,
+    interrupt, lock,
     values::{self, Paths},
 };
 
@@ -54,9 +54,10 @@ impl Report {
 /// Evaluates checkpoints on the bags at `data` by free rollouts over `horizon` frames from `starts` frames of each stream.
 /// Streams that a checkpoint was trained on are left out. `references` may hold `mpm` (the solver restarted from the same frames) and
 /// `chaos` (from slightly displaced ones). `stiffness` is that of all streams (Young's modulus, density x velocity^2), for checkpoints
-/// that are conditioned on it; by default what the metadata.yaml of each bag states (`eddy_stiffness` of `custom_data`), otherwise the manifest.json beside it. Without checkpoints, the particle model of the package is evaluated.
+/// that are conditioned on it; by default what the metadata.yaml of each bag states (`eddy_stiffness` of `custom_data`), otherwise the manifest.json beside it. Without checkpoints, the particle model of the package is evaluated. `skip_streams` leaves out streams
+/// with a frame that cannot be used, each with a warning, instead of raising.
 #[pyfunction]
-#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None))]
+#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None, skip_streams=false))]
 #[expect(clippy::too_many_arguments, reason = "the options of an evaluation")]
 pub(crate) fn evaluate(
     py: Python<'_>,
@@ -67,6 +68,7 @@ pub(crate) fn evaluate(
     stiffness: Option<f32>,
     references: Vec<String>,
     threads: Option<usize>,
+    skip_streams: bool,
 ) -> PyResult<Report> {
     let threads = match threads {
         None => None,
@@ -82,6 +84,7 @@ pub(crate) fn evaluate(
     let references = references.iter().map(reference).collect::<PyResult<Vec<_>>>()?;
     let checkpoints: Vec<PathBuf> = checkpoints.map(Paths::into).unwrap_or_default();
     let data: Vec<PathBuf> = data.into();
+    let skipped = Mutex::default();
     let work = |watch: &interrupt::Watch<()>| -> Result<eddy_evaluation::Report, String> {
         let load = |path: &PathBuf| {
             let checkpoint = Checkpoint::load(path).map_err(|error| error.to_string())?;
@@ -92,12 +95,14 @@ pub(crate) fn evaluate(
             let shipped = Checkpoint::shipped().map_err(|error| error.to_string())?;
             loaded.push(("shipped".to_owned(), shipped));
         }
-        let streams = load_trajectories(&data, available_memory() / 2, &mut |_, _| ())
-            .map_err(|error| error.to_string())?;
+        let options = LoadOptions { memory: available_memory() / 2, skip_streams };
+        let loaded = load_trajectories(&data, options, &mut |_, _| ());
+        let loaded = loaded.map_err(|error| error.to_string())?;
+        *lock(&skipped) = loaded.skipped;
         let request = EvaluationRequest {
             checkpoints: loaded,
             recorded: Vec::new(),
-            streams,
+            streams: loaded.streams,
             stiffness,
             settings: Settings::full(horizon, starts),
             references,
@@ -108,6 +113,7 @@ pub(crate) fn evaluate(
         evaluation.run(watch).map_err(|error| error.to_string())
     };
     let outcome = interrupt::run(py, |_, ()| Ok(()), work)?;
+    values::warn_of_skipped(py, &lock(&skipped))?;
     Ok(Report { inner: outcome.map_err(raise::<EvaluationError>)? })
 }
 

@@ -1,8 +1,8 @@
 //! `train`: from bags to a checkpoint.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, sync::Mutex};
 
-use eddy_evaluation::dataset::{Dataset, available_memory};
+use eddy_evaluation::dataset::{Dataset, LoadOptions, available_memory};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, Precision},
@@ -16,7 +16,7 @@ use pyo3::{
 
 use crate::{
     errors::{TrainError, raise},
-    interrupt,
+    interrupt, lock,
     values::{self, Paths},
 };
 
@@ -24,10 +24,11 @@ use crate::{
 /// keys of `eddy train --config`; what it leaves out has the defaults of its `architecture`, or, with the `recipe` "paper", those of the
 /// paper's training. `start` is the folder of a checkpoint whose weights the run starts from, as with `eddy train --from`.
 /// `callback` is called after each epoch with a dictionary (`epoch`, `samples`, `training_loss`, `validation_loss`, `first_skill`, `last_skill`, ..); an exception of
-/// it ends the run, as Ctrl-C does, after the last whole epoch was saved. Returns a dictionary with `epochs` (a list
+/// it ends the run, as Ctrl-C does, after the last whole epoch was saved. `skip_streams` leaves out streams with a frame that cannot be
+/// used, each with a warning, instead of raising. Returns a dictionary with `epochs` (a list
 /// of these), `seconds`, `samples` and `digest` (of the best checkpoint).
 #[pyfunction(name = "train")]
-#[pyo3(signature = (data, output, config=None, *, start=None, recipe="default", device="auto", precision="tf32", resume=false, callback=None))]
+#[pyo3(signature = (data, output, config=None, *, start=None, recipe="default", device="auto", precision="tf32", resume=false, callback=None, skip_streams=false))]
 #[expect(clippy::too_many_arguments, reason = "the options of a run")]
 pub(crate) fn train_network<'py>(
     py: Python<'py>,
@@ -40,6 +41,7 @@ pub(crate) fn train_network<'py>(
     precision: &str,
     resume: bool,
     callback: Option<Bound<'py, PyAny>>,
+    skip_streams: bool,
 ) -> PyResult<Bound<'py, PyDict>> {
     let start =
         start.map(|folder| Checkpoint::load(&folder)).transpose().map_err(raise::<TrainError>)?;
@@ -48,13 +50,15 @@ pub(crate) fn train_network<'py>(
     let device = device.resolve(config.runs_on_gpus());
     let precision: Precision = values::word("precision", precision)?;
     let data: Vec<PathBuf> = data.into();
+    let skipped = Mutex::default();
     let work = |watch: &interrupt::Watch<Epoch>| -> Result<train::Outcome, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
         device.check().map_err(|error| text(&error))?;
         train::check_output(&output, resume).map_err(|error| text(&error))?;
-        let memory = available_memory();
-        let dataset =
-            Dataset::load(&data, memory / 2, &mut |_, _| ()).map_err(|error| text(&error))?;
+        let options = LoadOptions { memory: available_memory() / 2, skip_streams };
+        let dataset = Dataset::load(&data, options, &mut |_, _| ());
+        let dataset = dataset.map_err(|error| text(&error))?;
+        lock(&skipped).clone_from(&dataset.skipped);
         let machine = Machine::with_free_disk(available_memory(), &output);
         let run = Run {
             device,
@@ -73,7 +77,9 @@ pub(crate) fn train_network<'py>(
         None => Ok(()),
         Some(callback) => callback.call1((values::render(py, &epoch)?,)).map(drop),
     };
-    let outcome = interrupt::run(py, on_epoch, work)?.map_err(raise::<TrainError>)?;
+    let outcome = interrupt::run(py, on_epoch, work)?;
+    values::warn_of_skipped(py, &lock(&skipped))?;
+    let outcome = outcome.map_err(raise::<TrainError>)?;
     let result = PyDict::new(py);
     result.set_item("epochs", values::render(py, &outcome.epochs)?)?;
     result.set_item("seconds", outcome.seconds)?;

@@ -1,8 +1,13 @@
 //! Python values as settings of the library, and results of the library as Python values: through JSON.
 
-use std::path::PathBuf;
+use std::{ffi::CString, path::PathBuf};
 
-use pyo3::{exceptions::PyValueError, prelude::*};
+use eddy_messages::UnusableFrame;
+use eddy_settings::types;
+use pyo3::{
+    exceptions::{PyUserWarning, PyValueError},
+    prelude::*,
+};
 use serde::{Serialize, de::DeserializeOwned};
 use toml::Value;
 
@@ -12,7 +17,9 @@ use toml::Value;
 /// `TypeError` for what is none of these, `ValueError` with the key that is unknown or of the wrong type.
 pub(crate) fn parse<T: DeserializeOwned>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<T> {
     let text: String = value.py().import("json")?.call_method1("dumps", (value,))?.extract()?;
-    serde_json::from_str(&text).map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+    serde_json::from_str(&text).map_err(|error| {
+        PyValueError::new_err(format!("{name}: {}", types::in_words(&error.to_string())))
+    })
 }
 
 /// One of the words of a setting, such as a preset.
@@ -22,6 +29,14 @@ pub(crate) fn parse<T: DeserializeOwned>(name: &str, value: &Bound<'_, PyAny>) -
 pub(crate) fn word<T: DeserializeOwned>(name: &str, word: &str) -> PyResult<T> {
     Value::String(word.to_owned()).try_into().map_err(|error: toml::de::Error| {
         PyValueError::new_err(format!("{name}: {}", error.to_string().trim_end()))
+    })
+}
+
+/// Warns of each stream that was skipped.
+pub(crate) fn warn_of_skipped(py: Python<'_>, skipped: &[UnusableFrame]) -> PyResult<()> {
+    skipped.iter().try_for_each(|first| {
+        let text = CString::new(format!("skipped: {first}"))?;
+        PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
     })
 }
 

@@ -16,6 +16,10 @@ pub struct CalibrateArgs {
     /// Bags, or directories of bags, with at least 10 streams that the checkpoint was not trained on.
     #[arg(long, value_name = "BAG", required = true, num_args = 1..)]
     pub data: Vec<PathBuf>,
+    /// Skip streams with a frame that cannot be used (not finite, outside of the domain, far too fast, of another dt or domain
+    /// than the first stream), instead of refusing the data; they are counted and named.
+    #[arg(long)]
+    pub skip_streams: bool,
     /// Replace an existing error_model.toml.
     #[arg(long)]
     pub force: bool,

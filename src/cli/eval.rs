@@ -8,6 +8,9 @@ use super::NetworkDevice;
 use eddy_evaluation::DEFAULT_STARTS;
 use eddy_inference::checkpoint::Rule;
 
+/// Frames of each free rollout that are compared, by default.
+pub const DEFAULT_HORIZON: usize = 100;
+
 /// `eddy eval`
 #[derive(Debug, Args)]
 pub struct EvalArgs {
@@ -18,6 +21,10 @@ pub struct EvalArgs {
     /// Bags, or directories of bags.
     #[arg(long, value_name = "BAG", required_unless_present = "compare", num_args = 1..)]
     pub data: Vec<PathBuf>,
+    /// Skip streams with a frame that cannot be used (not finite, outside of the domain, far too fast, of another dt or domain
+    /// than the first stream), instead of refusing the data; they are counted and named.
+    #[arg(long, conflicts_with = "compare")]
+    pub skip_streams: bool,
     /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
     #[arg(long, short, value_name = "DIR", required_unless_present_any = ["compare", "list_starts"])]
     pub output: Option<PathBuf>,
@@ -45,7 +52,7 @@ pub struct EvalArgs {
     )]
     pub compare: Vec<PathBuf>,
     /// Frames of each free rollout to compare with the truth; rollouts continue to frame 200 to detect divergence.
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_HORIZON)]
     pub horizon: usize,
     /// Start frames per stream, evenly spaced over its first 80 %.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]

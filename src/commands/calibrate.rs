@@ -4,9 +4,9 @@ use std::num::NonZeroUsize;
 
 use anyhow::{Context as _, ensure};
 
-use super::{Interrupt, TerminalProgress, counted, output, surrogate};
+use super::{Interrupt, TerminalProgress, counted, output, streams, surrogate};
 use crate::{cli::CalibrateArgs, terminal};
-use eddy_evaluation::{Calibration, CalibrationRequest, Reliability, dataset};
+use eddy_evaluation::{Calibration, CalibrationRequest, Reliability};
 use eddy_inference::{checkpoint::Checkpoint, error_model::ERROR_MODEL_FILE};
 use eddy_settings::ensure_usage;
 
@@ -24,9 +24,8 @@ pub fn run(args: &CalibrateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::
     let checkpoint = Checkpoint::load_uncalibrated(&args.checkpoint)?;
     let surrogate = surrogate::on_device(&checkpoint, Some(NonZeroUsize::MIN), args.device)
         .with_context(|| args.checkpoint.display().to_string())?;
-    let memory = dataset::available_memory() / 2;
     let request = CalibrationRequest {
-        streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
+        streams: streams::load(&args.data, args.skip_streams)?,
         stiffness: args.stiffness,
         horizon: args.horizon,
         starts: args.starts,

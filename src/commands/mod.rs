@@ -25,6 +25,7 @@ mod interrupt;
 mod keyboard;
 mod output;
 mod progress;
+mod streams;
 mod surrogate;
 
 pub(crate) use eddy_frames::counted;

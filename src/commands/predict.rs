@@ -8,7 +8,7 @@ use super::{
     Interrupt,
     node::summary,
     output::{Output, OutputKind},
-    surrogate,
+    streams, surrogate,
 };
 use crate::cli::PredictArgs;
 use eddy_bag::{BagReader, BagWriter, WriterOptions};
@@ -21,8 +21,8 @@ use eddy_transport::Payload;
 /// The topic of the predictions.
 const PREDICTION: &str = "/prediction";
 
-/// Writes the predictions from every frame of a bag into another. Log time is the predicted stamp, so that two runs give
-/// identical files.
+/// Writes the predictions from every frame of a bag into another. Log time is the predicted stamp, counted from the first one if
+/// that is before 0, so that two runs give identical files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads, args.device)?;
     let mut settings = NodeSettings::default();
@@ -34,6 +34,12 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
     }
     let mut node = SurrogateNode::new(surrogate, settings)?;
+    let found = dataset::survey_streams(&reader, &args.topic, &|| interrupt.requested())?;
+    if let (Some(first), false) = (found.unusable.values().next(), args.skip_streams) {
+        return Err(streams::refused_frame(first));
+    }
+    let skipped: Vec<_> = found.unusable.values().cloned().collect();
+    streams::count_skipped(&skipped, found.usable.len());
 
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
@@ -54,11 +60,15 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
                 break;
             }
         };
-        let mut arrival = [(Duration::ZERO, Payload::Cdr(message.data))];
+        let payload = Payload::Cdr(message.data);
+        if payload.stream().is_some_and(|stream| found.unusable.contains_key(&stream)) {
+            continue;
+        }
+        let mut arrival = [(Duration::ZERO, payload)];
         let (mut published, mut outcome) = (0, Ok(()));
         node.on_frames(&mut arrival, None, &mut |_, predicted| match predicted {
             Ok(Prediction { frame, .. }) if outcome.is_ok() => {
-                outcome = writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr());
+                outcome = writer.write_stamped(topic, frame.stamp, &frame.to_cdr());
                 published += 1;
             }
             Ok(_) => {}

@@ -7,12 +7,12 @@ use std::{
 
 use anyhow::{Context as _, bail};
 use eddy_evaluation::{
-    dataset::{Dataset, Trajectory, available_memory},
-    page::Table,
+    dataset::{Dataset, LoadOptions, Trajectory, available_memory},
+    page::{Table, command_line},
     skill_text,
 };
 use eddy_frames::clock::Clock;
-use eddy_inference::checkpoint::Checkpoint;
+use eddy_inference::checkpoint::{Checkpoint, Description};
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
     ranks::{Process, ProcessOptions, Timing},
@@ -27,9 +27,12 @@ use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 use super::{
     Interrupt, TerminalProgress, allocator, counted,
     output::{self, Output, OutputKind},
-    progress_bar,
+    progress_bar, streams,
 };
-use crate::{cli::TrainArgs, terminal};
+use crate::{
+    cli::{DEFAULT_HORIZON, TrainArgs},
+    terminal,
+};
 
 /// Bytes of a GiB.
 const GIB: f64 = (1u64 << 30) as f64;
@@ -249,15 +252,19 @@ fn load(args: &TrainArgs, quiet: bool) -> anyhow::Result<Dataset> {
     let bar = progress_bar(0, "frames read", true);
     let clock = Clock::start();
     let mut hidden = !quiet;
-    let dataset = Dataset::load(&args.data, memory, &mut |done, all| {
+    let options = LoadOptions { memory, skip_streams: args.skip_streams };
+    let dataset = Dataset::load(&args.data, options, &mut |done, all| {
         if hidden && clock.now().as_secs_f64() > BAR_DELAY {
             bar.set_draw_target(ProgressDrawTarget::stderr());
             hidden = false;
         }
         bar.set_length(all);
         bar.set_position(done);
-    })?;
+    });
     bar.finish_and_clear();
+    let dataset = dataset.map_err(|error| streams::refused(error, args.skip_streams))?;
+    let Dataset { train, validation, test, skipped, .. } = &dataset;
+    streams::name_skipped(skipped, train.iter().chain(validation).chain(test));
     Ok(dataset)
 }
 
@@ -320,17 +327,55 @@ fn summarize(
         HumanCount(checkpoint.parameters() as u64),
         checkpoint.short_digest(),
     );
-    println!("curves:   tensorboard --logdir {place}");
+    let curves = ["tensorboard", "--logdir", &place.to_string()].map(str::to_owned);
+    println!("curves:   {}", command_line(&curves));
     if *interrupted {
         println!("resume:   the same command with --resume");
     }
-    let data: Vec<_> = args.data.iter().map(|path| path.display().to_string()).collect();
-    let name = output.file_name().unwrap_or_default().display();
-    println!(
-        "evaluate: eddy eval --checkpoint {place} --data {} --output reports/{name}",
-        data.join(" ")
-    );
+    match horizon_of_test(checkpoint, dataset)? {
+        Some(horizon) => println!("evaluate: {}", evaluation(args, output, &args.data, horizon)),
+        None => println!(
+            "evaluate: on other streams, as none of these is left for a test: {}",
+            evaluation(args, output, &["BAGS".into()], DEFAULT_HORIZON)
+        ),
+    }
     Ok(())
+}
+
+/// The number of frames ahead, at most the default of `eddy eval`, that the test part allows; `None` if it has no stream that the
+/// checkpoint has not seen.
+fn horizon_of_test(checkpoint: &Checkpoint, dataset: &Dataset) -> anyhow::Result<Option<usize>> {
+    let Description { training, warm_up, .. } = &checkpoint.description;
+    let mut longest = 0;
+    for stream in &dataset.test {
+        let fingerprint = stream.fingerprint()?;
+        if !training.seen.iter().any(|seen| *seen == fingerprint) {
+            longest = longest.max(stream.frames);
+        }
+    }
+    let left = longest.saturating_sub(*warm_up as usize);
+    Ok((left > 0).then_some(left.min(DEFAULT_HORIZON)))
+}
+
+/// A command line that evaluates the checkpoint at `output`, into a folder that does not exist yet.
+fn evaluation(args: &TrainArgs, output: &Path, data: &[PathBuf], horizon: usize) -> String {
+    let name = output.file_name().unwrap_or_default().display();
+    let reports = (1..).map(|number| match number {
+        1 => format!("reports/{name}"),
+        _ => format!("reports/{name}-{number}"),
+    });
+    let report = reports.into_iter().find(|report| !Path::new(report).exists());
+    let mut words = ["eddy", "eval", "--checkpoint"].map(str::to_owned).to_vec();
+    words.extend([output.display().to_string(), "--data".to_owned()]);
+    words.extend(data.iter().map(|path| path.display().to_string()));
+    if args.skip_streams {
+        words.push("--skip-streams".to_owned());
+    }
+    if horizon < DEFAULT_HORIZON {
+        words.extend(["--horizon".to_owned(), horizon.to_string()]);
+    }
+    words.extend(["--output".to_owned(), report.unwrap_or_default()]);
+    command_line(&words)
 }
 
 /// The epoch with the lowest validation loss.

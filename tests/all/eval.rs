@@ -2,7 +2,11 @@
 
 use std::{fs, path::Path};
 
-use eddy_evaluation::{Report, dataset, page::Provenance};
+use eddy_evaluation::{
+    Report,
+    dataset::{self, LoadOptions, Trajectory},
+    page::Provenance,
+};
 use eddy_inference::checkpoint::{Checkpoint, Core, Description, Rules};
 use eddy_lab::bench::inference::Case;
 use serde_json::Value;
@@ -281,13 +285,18 @@ fn a_grid_that_cannot_be_halved_leaves_out_that_rival_only() {
     assert!(!found.contains(&"MPM restarted, a quarter of the grid"), "{found:?}");
 }
 
+/// The streams of a bag or a directory of bags.
+fn streams(data: &str) -> Vec<Trajectory> {
+    let options = LoadOptions::within(u64::MAX);
+    dataset::load_trajectories(&[data.into()], options, &mut |_, _| ()).unwrap().streams
+}
+
 #[test]
 fn data_without_a_scene_that_the_checkpoint_has_not_seen_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
     simulate(&folder.path().join("truth"), 1, 0.2);
-    let streams = dataset::load_trajectories(&[data.clone().into()], u64::MAX, &mut |_, _| ());
-    let digest = dataset::digest(&streams.unwrap(), |_| ()).unwrap();
+    let digest = dataset::digest(&streams(&data), |_| ()).unwrap();
     let seen = changed(&folder, "seen", |description| description.data = digest);
     let message = fail(1, ["eval", "--checkpoint", &seen, "--data", &data, "--output", &output]);
     assert!(message.contains("every stream was used to train a checkpoint"), "{message}");
@@ -298,8 +307,7 @@ fn a_stream_that_a_checkpoint_has_learned_from_is_left_out_wherever_it_is_found(
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
     simulate(&folder.path().join("truth"), 2, 0.2);
-    let streams = dataset::load_trajectories(&[data.clone().into()], u64::MAX, &mut |_, _| ());
-    let known = streams.unwrap()[1].fingerprint().unwrap();
+    let known = streams(&data)[1].fingerprint().unwrap();
     let seen = changed(&folder, "seen", |description| {
         description.training.seen = [known].into_iter().collect()
     });

@@ -47,5 +47,6 @@ mod support;
 mod terminal;
 mod topic;
 mod train;
+mod unusable_frames;
 mod view;
 mod workspace;

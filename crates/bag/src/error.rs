@@ -5,6 +5,11 @@ use std::{io, path::PathBuf};
 use eddy_messages::{BadFrame, UnknownType};
 use eddy_settings::near;
 
+/// `: stream 3, frame 7`, if they are known.
+pub(crate) fn in_stream(place: Option<(u64, u64)>) -> String {
+    place.map_or_else(String::new, |(stream, frame)| format!(": stream {stream}, frame {frame}"))
+}
+
 /// Why a bag cannot be written or read. Paths name the bag, or the file in it.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the message of each variant says what its fields are")]
@@ -49,8 +54,15 @@ pub enum BagError {
     #[error("{path}: topic {topic}: found 0 messages, expected at least 1", path = .path.display())]
     NoMessages { path: PathBuf, topic: String },
     /// A message on a topic of frames is not a valid frame; `message` counts from 0 in log-time order.
-    #[error("{path}: topic {topic}, message {message}: {reason}", path = .path.display())]
-    Frame { path: PathBuf, topic: String, message: u64, reason: BadFrame },
+    #[error("{path}: topic {topic}, message {message}{}: {reason}", in_stream(*place), path = .path.display())]
+    Frame {
+        path: PathBuf,
+        topic: String,
+        message: u64,
+        /// Stream id and sequence number, unless the message is too short for them.
+        place: Option<(u64, u64)>,
+        reason: BadFrame,
+    },
     /// MCAP's times are unsigned; `field` is `log_time` or `publish_time`.
     #[error("{path}: topic {topic}: {field}: found {found} ns, expected 0 or later", path = .path.display())]
     NegativeTime { path: PathBuf, topic: String, field: &'static str, found: i64 },

@@ -107,14 +107,16 @@ fn roll_out(
 mod tests {
     use super::*;
     use crate::{
-        dataset::{Stream, load_trajectories},
+        dataset::{LoadOptions, Stream, load_trajectories},
         measure::Flights,
     };
     use eddy_inference::checkpoint::Checkpoint;
 
     fn sample() -> Stream {
         let bag = concat!(env!("CARGO_MANIFEST_DIR"), "/../../bags/sample");
-        let stream = load_trajectories(&[bag.into()], u64::MAX, &mut |_, _| ()).unwrap().remove(0);
+        let options = LoadOptions::within(u64::MAX);
+        let loaded = load_trajectories(&[bag.into()], options, &mut |_, _| ()).unwrap();
+        let stream = &loaded.streams[0];
         stream.cut(0..stream.frames).unwrap()
     }
 

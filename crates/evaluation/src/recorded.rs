@@ -186,7 +186,7 @@ mod tests {
     use super::*;
     use crate::{
         Evaluation, EvaluationError, EvaluationRequest, Report, Settings,
-        dataset::load_trajectories,
+        dataset::{LoadOptions, load_trajectories},
     };
     use eddy_bag::{BagWriter, WriterOptions};
     use eddy_frames::{Stamp, progress::Silent};
@@ -197,7 +197,13 @@ mod tests {
         EvaluationRequest {
             checkpoints: vec![("shipped".to_owned(), Checkpoint::shipped().unwrap())],
             recorded,
-            streams: load_trajectories(&[bag.into()], u64::MAX, &mut |_, _| ()).unwrap(),
+            streams: load_trajectories(
+                &[bag.into()],
+                LoadOptions::within(u64::MAX),
+                &mut |_, _| (),
+            )
+            .unwrap()
+            .streams,
             stiffness: None,
             settings: Settings::full(6, 3),
             references: Vec::new(),

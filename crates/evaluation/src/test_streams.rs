@@ -5,7 +5,7 @@ use std::path::Path;
 use tempfile::TempDir;
 
 use crate::dataset::{
-    State, Stream, Trajectory, load_trajectories,
+    LoadOptions, State, Stream, Trajectory, load_trajectories,
     simulate::{SimulationRequest, Source, simulate},
 };
 use eddy_frames::progress::Silent;
@@ -27,8 +27,8 @@ pub(crate) fn simulated(extent: Extent, scenes: u32) -> (TempDir, Vec<Trajectory
     };
     simulate(&request, folder.path(), &Silent, None).unwrap().complete().unwrap();
     let bags = [folder.path().to_owned()];
-    let streams = load_trajectories(&bags, u64::MAX, &mut |_, _| ()).unwrap();
-    (folder, streams)
+    let streams = load_trajectories(&bags, LoadOptions::within(u64::MAX), &mut |_, _| ());
+    (folder, streams.unwrap().streams)
 }
 
 /// The first frames of a scene, not from a bag.

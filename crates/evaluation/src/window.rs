@@ -10,14 +10,16 @@ const STARTS_WITHIN: f64 = 0.8;
 /// has no rollouts; the truth of the last rollouts may end before the horizon.
 pub fn starts(frames: usize, warm_up: usize, settings: Settings) -> Vec<usize> {
     let earliest = warm_up.max(1) - 1;
-    if frames < earliest + settings.horizon + 1 {
+    if frames < settings.horizon.saturating_add(earliest + 1) {
         return Vec::new();
     }
     let latest = frames.saturating_sub(2).max(earliest);
     let last = ((STARTS_WITHIN * frames as f64) as usize).clamp(earliest, latest);
-    let intervals = settings.starts.saturating_sub(1).max(1);
+    // With more starts than frames, each frame is one.
+    let number = settings.starts.min(last - earliest + 1);
+    let intervals = number.saturating_sub(1).max(1);
     let mut starts: Vec<_> =
-        (0..settings.starts).map(|k| earliest + (last - earliest) * k / intervals).collect();
+        (0..number).map(|k| earliest + (last - earliest) * k / intervals).collect();
     starts.dedup();
     starts
 }
@@ -41,6 +43,15 @@ mod tests {
             assert!(starts.first().is_none_or(|first| first + 20 < frames), "{frames}");
             assert!(starts.iter().all(|start| start + 1 >= 5 && start + 1 < frames), "{frames}");
         }
+    }
+
+    #[test]
+    fn more_starts_than_frames_are_all_frames() {
+        let all: Vec<usize> = (4..=40).collect();
+        for number in [37, 38, 100, usize::MAX] {
+            assert_eq!(starts(50, 5, Settings::errors_only(3, number)), all, "{number}");
+        }
+        assert!(starts(50, 5, Settings::errors_only(usize::MAX, 1)).is_empty());
     }
 
     #[test]

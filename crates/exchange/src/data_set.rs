@@ -66,7 +66,7 @@ fn check_scale(all: &[&Track]) -> Result<(), ExchangeError> {
             return differ("dt", format!("{} s", track.dt), format!("{} s", first.dt));
         }
         if track.domain != first.domain {
-            let (found, expected) = (format!("{:?}", track.domain), format!("{:?}", first.domain));
+            let (found, expected) = (track.domain.to_string(), first.domain.to_string());
             return differ("domain", found, expected);
         }
     }

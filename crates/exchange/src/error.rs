@@ -7,7 +7,7 @@ use std::{
 
 use eddy_bag::BagError;
 use eddy_evaluation::dataset::DatasetError;
-use eddy_frames::InvalidFrame;
+use eddy_messages::UnusableFrame;
 
 /// Why frames cannot be imported or exported.
 #[derive(Debug, thiserror::Error)]
@@ -61,9 +61,9 @@ pub enum ExchangeError {
          instead", path = .path.display()
     )]
     Pickle { path: PathBuf, array: String },
-    /// Frame `frame` of a file, from 0, is invalid.
-    #[error("{path}: frame {frame}: {reason}", path = .path.display())]
-    Frame { path: PathBuf, frame: usize, reason: InvalidFrame },
+    /// A frame of a file cannot be used.
+    #[error(transparent)]
+    Frame(UnusableFrame),
     /// This program was built without HDF5.
     #[error(
         "hdf5: this program was built without HDF5; build it with `--features hdf5` (needs the \

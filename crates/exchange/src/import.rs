@@ -143,7 +143,7 @@ impl Bags<'_, '_> {
         writer.extend_custom_data(trajectory.custom_data(self.overrides));
         let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
         trajectory.frames_with(stream, self.overrides, |frame| {
-            writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr())?;
+            writer.write_stamped(topic, frame.stamp, &frame.to_cdr())?;
             if (self.progress)() { Ok(()) } else { Err(ExchangeError::Interrupted) }
         })?;
         writer.finish()?;

@@ -87,7 +87,7 @@ impl Track {
             differ("dt", format!("{} s", decimal(frame.dt)), format!("{} s", decimal(self.dt)));
         }
         if frame.domain != self.domain {
-            differ("domain", format!("{:?}", frame.domain), format!("{:?}", self.domain));
+            differ("domain", frame.domain.to_string(), self.domain.to_string());
         }
         if self.sequence.checked_add(1) != Some(frame.sequence) {
             let found = format!("{} after {}", frame.sequence, self.sequence);

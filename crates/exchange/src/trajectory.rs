@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{arrays::Array, error::ExchangeError};
 use eddy_bag::custom_data::{CustomData, Quantity};
 use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_messages::UnusableFrame;
 
 /// Values that replace those of a file, or that a file does not have.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -168,7 +169,7 @@ impl RawTrajectory {
     ///
     /// # Errors
     /// [`ExchangeError::Array`] when an array is missing or has the wrong shape, [`ExchangeError::Frame`] when a
-    /// frame is invalid, and those of `each`.
+    /// frame cannot be used, and those of `each`.
     pub(super) fn frames_with(
         self,
         stream: u64,
@@ -181,6 +182,8 @@ impl RawTrajectory {
         self.check_shape("velocity", self.velocity.as_ref(), &[&all])?;
         self.check_shape("stamp", self.stamp.as_ref(), &[&[self.frames]])?;
         self.check_shape("sequence", self.sequence.as_ref(), &[&[self.frames]])?;
+        self.check_order("stamp", self.stamp.as_ref())?;
+        self.check_order("sequence", self.sequence.as_ref())?;
         let position: &[[f32; 2]] = self.position.as_chunks().0;
         for (index, now) in position.chunks_exact(self.particles).enumerate() {
             let velocity = match &self.velocity {
@@ -198,10 +201,10 @@ impl RawTrajectory {
             let material = self.materials(index, overrides)?;
             let frame =
                 Frame::new(stream, sequence, stamp, dt, domain, now.to_vec(), velocity, material);
-            each(frame.map_err(|reason| ExchangeError::Frame {
-                path: self.path.clone(),
-                frame: index,
-                reason,
+            let usable = frame.and_then(|frame| frame.check_plausible().map(|()| frame));
+            each(usable.map_err(|reason| {
+                let (path, reason) = (self.path.clone(), reason.into());
+                ExchangeError::Frame(UnusableFrame { path, stream, sequence, reason })
             })?)?;
         }
         Ok(())
@@ -221,6 +224,23 @@ impl RawTrajectory {
                 Err(self.fault(name, format!("shape {:?}", array.shape), expected))
             }
             _ => Ok(()),
+        }
+    }
+
+    /// Checks that the numbers rise from frame to frame.
+    fn check_order<T: Copy + Ord + ToString>(
+        &self,
+        name: &str,
+        array: Option<&Array<T>>,
+    ) -> Result<(), ExchangeError> {
+        let pairs = array.map_or(&[][..], |array| array.values.as_slice()).windows(2);
+        match pairs.enumerate().find(|(_, pair)| pair[1] <= pair[0]) {
+            None => Ok(()),
+            Some((frame, pair)) => Err(self.fault(
+                &format!("{name}[{}]", frame + 1),
+                pair[1].to_string(),
+                format!("more than {}, of the frame before", pair[0].to_string()),
+            )),
         }
     }
 

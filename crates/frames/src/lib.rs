@@ -4,15 +4,20 @@
 //! and every material is known. An [`InvalidFrame`] names the field, the value found and the value expected. Fields are
 //! public and predictions may diverge: predicted frames are checked with [`Frame::check`] before they are published. A
 //! [`FrameView`] reads a frame in place.
+//!
+//! What a model is trained on or predicts from must also be plausible ([`FrameView::check_plausible`]), and frames that
+//! are used together have one setup ([`same_setup`]): `valid` has these rules, whoever reads the frames.
 
 pub mod clock;
 pub mod date;
 pub mod progress;
+mod valid;
 mod view;
 
+pub use valid::{InvalidFrame, same_setup};
 pub use view::{FrameView, Particle, Particles};
 
-use std::io::Write as _;
+use std::{fmt, io::Write as _};
 
 use serde::{Deserialize, Serialize};
 
@@ -113,12 +118,21 @@ impl Domain {
     /// The unit square of the paper.
     pub const UNIT: Self = Self { lower: [0.0; 2], upper: [1.0; 2] };
 
-    /// Whether the corners are finite and `lower` is below `upper` on both axes.
+    /// Whether `lower` is below `upper` on both axes, by a finite distance.
     pub fn is_valid(&self) -> bool {
+        self.extent().into_iter().all(|extent| extent.is_finite() && extent > 0.0)
+    }
+
+    /// Width and height (domain lengths).
+    pub fn extent(&self) -> [f32; 2] {
+        std::array::from_fn(|axis| self.upper[axis] - self.lower[axis])
+    }
+}
+
+impl fmt::Display for Domain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { lower, upper } = self;
-        (0..2).all(|axis| {
-            lower[axis].is_finite() && upper[axis].is_finite() && lower[axis] < upper[axis]
-        })
+        write!(f, "{} to {} x {} to {}", lower[0], upper[0], lower[1], upper[1])
     }
 }
 
@@ -141,38 +155,6 @@ pub struct Frame {
     pub velocity: Vec<[f32; 2]>,
     /// Materials, `[N]`.
     pub material: Vec<Material>,
-}
-
-/// Why data is not a valid frame.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[expect(missing_docs, reason = "the message says what the fields are")]
-pub enum InvalidFrame {
-    /// A corner of the domain does not have two coordinates.
-    #[error("{field}: found {found} dimensions, expected 2")]
-    Dimension { field: &'static str, found: usize },
-    /// The domain is empty or not finite.
-    #[error("lower, upper: found {found:?}, expected finite corners with lower < upper")]
-    Domain { found: [[f32; 2]; 2] },
-    /// The length of an array does not match the number of particles.
-    #[error("{field}: found {found} numbers, expected {expected} for {particles} particles")]
-    Length { field: &'static str, found: usize, expected: usize, particles: usize },
-    /// There are no particles.
-    #[error("material: found 0 particles, expected at least 1")]
-    Empty,
-    /// A number is NaN or infinite.
-    #[error("{field}[{particle}]: found {found}, expected a finite number")]
-    NotFinite { field: &'static str, particle: usize, found: f32 },
-    /// A material number is unknown.
-    #[error(
-        "material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)"
-    )]
-    Material { particle: usize, found: u8 },
-    /// The sequence number has no successor.
-    #[error("sequence: found {found}, expected less than the largest 64-bit number")]
-    Sequence { found: u64 },
-    /// The interval between frames is not positive.
-    #[error("dt: found {found} s, expected a positive number")]
-    Interval { found: f32 },
 }
 
 impl Frame {
@@ -205,6 +187,14 @@ impl Frame {
     /// Whether there are no particles (never the case for a valid frame).
     pub fn is_empty(&self) -> bool {
         self.material.is_empty()
+    }
+
+    /// As [`FrameView::check_plausible`].
+    ///
+    /// # Errors
+    /// As [`FrameView::check_plausible`].
+    pub fn check_plausible(&self) -> Result<(), InvalidFrame> {
+        FrameView::from(self).check_plausible()
     }
 
     /// Checks everything that [`Frame::new`] checks.

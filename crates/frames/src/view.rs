@@ -1,6 +1,6 @@
 //! Frames without copies.
 
-use super::{Domain, Frame, InvalidFrame, Material, Stamp};
+use super::{Domain, Frame, Material, Stamp};
 
 /// A particle in shared memory, 20 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -132,49 +132,6 @@ impl FrameView<'_> {
                 .map(|particle| particles.material(particle).unwrap_or(Material::Liquid))
                 .collect(),
         }
-    }
-
-    /// Checks everything that [`Frame::new`] checks, except the lengths of arrays.
-    ///
-    /// # Errors
-    /// [`InvalidFrame`] with the first fault.
-    pub fn check(&self) -> Result<(), InvalidFrame> {
-        let Self { sequence, dt, domain, particles, .. } = self;
-        if let Particles::Rows(_) = particles {
-            for particle in 0..particles.len() {
-                particles
-                    .material(particle)
-                    .map_err(|found| InvalidFrame::Material { particle, found })?;
-            }
-        }
-        if particles.is_empty() {
-            return Err(InvalidFrame::Empty);
-        }
-        if *sequence == u64::MAX {
-            return Err(InvalidFrame::Sequence { found: *sequence });
-        }
-        if !domain.is_valid() {
-            return Err(InvalidFrame::Domain { found: [domain.lower, domain.upper] });
-        }
-        if !(dt.is_finite() && *dt > 0.0) {
-            return Err(InvalidFrame::Interval { found: *dt });
-        }
-        let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
-        first_not_finite("position", motions().map(|motion| motion.0))?;
-        first_not_finite("velocity", motions().map(|motion| motion.1))
-    }
-}
-
-fn first_not_finite(
-    field: &'static str,
-    vectors: impl Iterator<Item = [f32; 2]>,
-) -> Result<(), InvalidFrame> {
-    let found = vectors
-        .enumerate()
-        .find_map(|(particle, v)| v.into_iter().find(|x| !x.is_finite()).map(|x| (particle, x)));
-    match found {
-        None => Ok(()),
-        Some((particle, found)) => Err(InvalidFrame::NotFinite { field, particle, found }),
     }
 }
 

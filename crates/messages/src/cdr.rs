@@ -67,8 +67,13 @@ pub fn decode<M: DeserializeOwned>(bytes: &[u8]) -> Result<M, CdrError> {
     Ok(message)
 }
 
-/// The stream id of an undecoded `ParticleFrame`: the field after the header, which ends with a string.
+/// The stream id of an undecoded `ParticleFrame`.
 pub fn stream_of_frame(bytes: &[u8]) -> Option<u64> {
+    place_of_frame(bytes).map(|(stream, _)| stream)
+}
+
+/// Stream id and sequence number of an undecoded `ParticleFrame`: the fields after the header, which ends with a string.
+pub fn place_of_frame(bytes: &[u8]) -> Option<(u64, u64)> {
     /// Position of the string, after seconds and nanoseconds (bytes).
     const STRING: usize = 8;
     let (head, body) = bytes.split_at_checked(HEADER.len())?;
@@ -76,8 +81,11 @@ pub fn stream_of_frame(bytes: &[u8]) -> Option<u64> {
     let length = *body.get(STRING..)?.first_chunk::<4>()?;
     let length = if little { u32::from_le_bytes(length) } else { u32::from_be_bytes(length) };
     let begin = (STRING + 4).checked_add(length as usize)?.checked_next_multiple_of(8)?;
-    let stream = *body.get(begin..)?.first_chunk::<8>()?;
-    Some(if little { u64::from_le_bytes(stream) } else { u64::from_be_bytes(stream) })
+    let (numbers, _) = body.get(begin..)?.as_chunks::<8>();
+    let number = |bytes: &[u8; 8]| {
+        if little { u64::from_le_bytes(*bytes) } else { u64::from_be_bytes(*bytes) }
+    };
+    Some((number(numbers.first()?), number(numbers.get(1)?)))
 }
 
 /// As [`encode`], into `bytes`, whose memory is reused.
@@ -146,7 +154,7 @@ mod tests {
             };
             // NaN differs from itself: compare bytes.
             let bytes = encode(&message);
-            prop_assert_eq!(stream_of_frame(&bytes), Some(stream));
+            prop_assert_eq!(place_of_frame(&bytes), Some((stream, message.sequence)));
             let mut again = vec![7; 3];
             encode_into(&message, &mut again);
             prop_assert_eq!(&again, &bytes);

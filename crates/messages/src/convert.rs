@@ -1,5 +1,7 @@
 //! Converts a [`Frame`] from and to its message: the only place where external data becomes particles.
 
+use std::path::PathBuf;
+
 use super::{Header, ParticleFrame, cdr, cdr::CdrError};
 use eddy_frames::{Domain, Frame, InvalidFrame, Material};
 
@@ -12,6 +14,20 @@ pub enum BadFrame {
     /// The `ParticleFrame` is not a valid frame.
     #[error(transparent)]
     Invalid(#[from] InvalidFrame),
+}
+
+/// A frame that cannot be used, and its place.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{place}: stream {stream}, frame {sequence}: {reason}", place = path.display())]
+pub struct UnusableFrame {
+    /// The file or bag.
+    pub path: PathBuf,
+    /// The stream.
+    pub stream: u64,
+    /// Sequence number of the frame.
+    pub sequence: u64,
+    /// Why it cannot be used.
+    pub reason: BadFrame,
 }
 
 impl From<&Frame> for ParticleFrame {

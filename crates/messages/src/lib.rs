@@ -31,7 +31,7 @@ pub mod service_type;
 pub mod services;
 pub mod type_descriptions;
 
-pub use convert::{BadFrame, FrameCdr};
+pub use convert::{BadFrame, FrameCdr, UnusableFrame};
 pub use dds_type::{dds_type, ros_type};
 pub use definition::InvalidDefinition;
 pub use library::{names as built_in_types, text_of as built_in_text};

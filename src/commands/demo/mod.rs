@@ -31,7 +31,11 @@ use super::{
 };
 use crate::cli::{DemoArgs, NetworkDevice};
 use eddy_bag::{BagWriter, WriterOptions};
-use eddy_evaluation::{Settings, dataset, evaluate_model};
+use eddy_evaluation::{
+    Settings,
+    dataset::{self, LoadOptions},
+    evaluate_model,
+};
 use eddy_frames::{Stamp, clock};
 use eddy_inference::engine::Precision;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
@@ -224,11 +228,9 @@ fn report(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let mut streams = dataset::load_trajectories(
-        &[bag.to_owned()],
-        dataset::available_memory() / 2,
-        &mut |_, _| (),
-    )?;
+    let memory = LoadOptions::within(dataset::available_memory() / 2);
+    let mut streams =
+        dataset::load_trajectories(&[bag.to_owned()], memory, &mut |_, _| ())?.streams;
     let stiffness = node.settings().stiffness.map(|stiffness| stiffness as f32);
     streams.iter_mut().for_each(|stream| stream.stiffness = stiffness);
     let settings = Settings::errors_only(20, 10);

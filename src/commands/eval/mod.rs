@@ -13,15 +13,13 @@ use serde_json::json;
 use super::{
     Interrupt, TerminalProgress, counted,
     output::{Output, OutputKind},
-    surrogate,
+    streams, surrogate,
 };
 use crate::{
     cli::{EvalArgs, ReferenceName},
     terminal,
 };
-use eddy_evaluation::{
-    Evaluation, EvaluationRequest, Recorded, Reference, Report, Settings, dataset,
-};
+use eddy_evaluation::{Evaluation, EvaluationRequest, Recorded, Reference, Report, Settings};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
 use eddy_settings::ensure_usage;
 
@@ -78,7 +76,6 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
     disable_rules(&args.without_rules, &mut checkpoints)?;
     let recorded = args.predictions.iter().map(|(name, bag)| Recorded::open(name.clone(), bag));
     let recorded = recorded.collect::<Result<_, _>>()?;
-    let memory = dataset::available_memory() / 2;
     let reference = |name: &ReferenceName| match name {
         ReferenceName::Mpm => Reference::Restart,
         ReferenceName::Chaos => Reference::Chaos,
@@ -86,7 +83,7 @@ fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
     Ok(EvaluationRequest {
         checkpoints,
         recorded,
-        streams: dataset::load_trajectories(&args.data, memory, &mut |_, _| ())?,
+        streams: streams::load(&args.data, args.skip_streams)?,
         stiffness: args.stiffness,
         settings: Settings::full(args.horizon, args.starts),
         references: args.references.iter().map(reference).collect(),

@@ -65,7 +65,16 @@ fn a_number_that_is_no_setting_is_named() {
     says(&refused(|c| c.optimizer.warm_up = 1.0), &["optimizer.warm_up: found 1, expected 0 to"]);
     says(&refused(|c| c.network.hidden = 1 << 20), &["network.hidden: found 1048576"]);
     says(&refused(|c| c.gravity[0] = f32::NAN), &["gravity: found [NaN, -9.8]"]);
-    says(&refused(|c| c.optimizer.learning_rate = f64::NAN), &["optimizer.learning_rate"]);
+    for rate in [f64::NAN, 0.0, 1e10] {
+        let mut config = TrainConfig::defaults(Architecture::Particle);
+        config.optimizer.learning_rate = rate;
+        let expected =
+            format!("optimizer.learning_rate: found {rate}, expected above 0, at most 10");
+        assert_eq!(config.check().unwrap_err().to_string(), expected);
+    }
+    says(&refused(|c| c.network.layers = 1000), &["network.layers: found 1000, expected 1 to 64"]);
+    let maps = |c: &mut TrainConfig| (c.loss.density_weight, c.loss.density_grid) = (1.0, 1 << 20);
+    says(&refused(maps), &["loss.density_grid: found 1048576, expected 2 to 4096"]);
     let other_form = |c: &mut TrainConfig| (c.core, c.network.form) = (Core::Gru, Form::Log);
     says(&refused(other_form), &["network.form: found log, expected plain"]);
     let refusal = "network.normalize_gates: found false, expected true";
@@ -99,8 +108,9 @@ fn a_feature_that_never_changes_is_named() {
     (still.normalization.minimum[2], still.normalization.maximum[2]) = (0.5, 0.5);
     let config = small(Architecture::Frame, Core::MinGru);
     let message = run(&config, &still, folder.path()).unwrap_err().to_string();
-    let expected = "found 0.5 everywhere, expected at least two different values";
-    assert_eq!(message, format!("training streams: vx: {expected}"));
+    let expected = "nothing moves horizontally in these streams, so that a network cannot learn it: vx: found 0.5 everywhere, \
+         expected at least two different values; record longer, or add a scene with such motion";
+    assert_eq!(message, format!("training streams: {expected}"));
     assert!(files(folder.path()).is_empty());
 }
 

@@ -18,7 +18,7 @@ use std::{
 };
 
 use eddy_bag::{BagWriter, Compression, WriterOptions};
-use eddy_evaluation::dataset::{Dataset, DatasetError, State, Stream, Trajectory};
+use eddy_evaluation::dataset::{Dataset, DatasetError, LoadOptions, State, Stream, Trajectory};
 use eddy_frames::{
     Domain, Material, Stamp,
     progress::{Progress, Silent},
@@ -213,5 +213,5 @@ pub fn write_bag(path: &Path, streams: &[Stream]) {
 
 /// Loads bags; frames that take more than `memory` bytes stay on disk.
 pub fn load(paths: &[PathBuf], memory: u64) -> Result<Dataset, DatasetError> {
-    Dataset::load(paths, memory, &mut |_, _| {})
+    Dataset::load(paths, LoadOptions::within(memory), &mut |_, _| {})
 }

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use super::{stream, write_bag};
-use crate::support::{fail, succeed, talking_eddy};
+use crate::support::{eddy, fail, succeed, talking_eddy};
 
 const SETTINGS: &str =
     "windows.per_epoch = 128\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n";
@@ -77,4 +77,11 @@ fn the_summary_says_what_came_out_and_how_to_go_on() {
         assert!(printed.contains(words), "`{words}` is not in: {printed}");
     }
     assert_eq!(printed.lines().filter(|line| line.starts_with("epoch")).count(), 2, "{printed}");
+
+    // The streams are shorter than the default horizon of an evaluation.
+    let evaluate = printed.lines().find_map(|line| line.strip_prefix("evaluate: eddy ")).unwrap();
+    let run = || eddy().args(evaluate.split(' ')).current_dir(&folder).output().unwrap();
+    let output = run();
+    assert!(output.status.success(), "{evaluate}: {output:?}");
+    assert!(folder.path().join("reports/model/report.json").exists());
 }

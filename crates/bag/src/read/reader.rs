@@ -19,7 +19,7 @@ use crate::{
     format::{channel::Channel, custom_data::CustomData, layout},
 };
 use eddy_frames::{Frame, Stamp};
-use eddy_messages::{FrameCdr, Message, ParticleFrame};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, cdr::place_of_frame};
 
 /// A bag opened for reading. Cheap to clone.
 ///
@@ -271,6 +271,7 @@ impl Iterator for Frames {
             path: self.path.clone(),
             topic: self.topic.clone(),
             message,
+            place: place_of_frame(&data),
             reason,
         }))
     }

@@ -14,18 +14,18 @@ use mcap::{
 };
 
 use super::{contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT};
-use crate::{error::BagError, format::metadata};
-use eddy_frames::{Frame, Stamp, decimal};
+use crate::{
+    error::{BagError, in_stream},
+    format::metadata,
+};
+use eddy_frames::{Domain, Frame, Stamp, decimal};
 use eddy_messages::{
-    Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus, RosString, cdr,
-    type_support,
+    BadFrame, Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus,
+    RosString, cdr, type_support,
 };
 
 /// Maximum number of groups of findings; findings beyond them are only counted.
 const MAX_FINDING_GROUPS: usize = 50;
-
-/// A stamp more than this many intervals in the past restarts a stream, as in a node (a looped bag).
-const RESTART_INTERVALS: u32 = 16;
 
 /// Bytes of a file that are read at a time.
 const BLOCK: usize = 1 << 16;
@@ -85,6 +85,8 @@ pub struct StreamSurvey {
     pub particles: (usize, usize),
     /// Time between two frames (s), from the first frame.
     pub dt: f32,
+    /// Domain of the first frame.
+    pub domain: Domain,
     /// How often the stream restarted, as in the recording of a loop.
     pub restarts: u64,
     /// Highest sequence so far, and its stamp.
@@ -101,7 +103,7 @@ impl TopicSurvey {
 }
 
 impl Survey {
-    /// Reads every message and checks chunk checksums, CDR, finite numbers, sequences and stamps of every
+    /// Reads every message and checks chunk checksums, CDR, whether every frame is valid and plausible, sequences and stamps of every
     /// stream, type hashes and message counts. Calls `progress` with the number of messages read so far.
     ///
     /// On topics whose name ends in `prediction` sequence numbers may repeat: every observed frame may be
@@ -197,10 +199,17 @@ impl Survey {
             ParticleFrame::TYPE => match Frame::from_cdr(data) {
                 Ok(frame) => {
                     self.check_frame(index, message, &frame);
-                    Ok(())
+                    // Predictions may diverge.
+                    let checked = if is_prediction(&message.topic) {
+                        Ok(())
+                    } else {
+                        frame.check_plausible()
+                    };
+                    checked.map_err(BadFrame::from)
                 }
-                Err(error) => Err(error.to_string()),
-            },
+                Err(error) => Err(error),
+            }
+            .map_err(|reason| format!("{}: {reason}", in_stream(cdr::place_of_frame(data)))),
             PredictionStatus::TYPE => check_cdr::<PredictionStatus>(data),
             DiagnosticArray::TYPE => check_cdr::<DiagnosticArray>(data),
             Clock::TYPE => check_cdr::<Clock>(data),
@@ -209,8 +218,8 @@ impl Survey {
         };
         if let Err(reason) = decoded {
             let topic = &message.topic;
-            let finding = format!("topic {topic}, message {number}: {reason}");
-            self.found(format!("topic {topic}: {}", without_numbers(&reason)), finding);
+            let finding = format!("topic {topic}, message {number}{reason}");
+            self.found(format!("topic {topic}{}", without_numbers(&reason)), finding);
         }
     }
 
@@ -220,7 +229,7 @@ impl Survey {
             streams.insert(frame.stream, StreamSurvey::new(frame));
             return;
         };
-        let may_repeat = message.topic.ends_with("prediction");
+        let may_repeat = is_prediction(&message.topic);
         for fault in stream.follow(frame, may_repeat).into_iter().flatten() {
             let place = format!("topic {}, stream {}", message.topic, frame.stream);
             let group = format!("{place}: {}", without_numbers(&fault));
@@ -251,6 +260,11 @@ impl Survey {
     }
 }
 
+/// Whether a topic holds predictions, of which every observed frame may have several.
+fn is_prediction(topic: &str) -> bool {
+    topic.ends_with("prediction")
+}
+
 /// A description without its numbers, which is the same for findings of one kind.
 fn without_numbers(description: &str) -> String {
     description.chars().filter(|c| !c.is_ascii_digit()).collect()
@@ -262,20 +276,20 @@ impl StreamSurvey {
             frames: 1,
             particles: (frame.len(), frame.len()),
             dt: frame.dt,
+            domain: frame.domain,
             restarts: 0,
             highest: (frame.sequence, frame.stamp),
         }
     }
 
     /// Adds the next frame; returns what contradicts the frames before it. A stream that restarts contradicts nothing.
-    fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 2] {
+    fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 3] {
         let (fewest, most) = self.particles;
         self.frames += 1;
         self.particles = (fewest.min(frame.len()), most.max(frame.len()));
         let (before, stamp_before) = self.highest;
         let (sequence, stamp) = (frame.sequence, frame.stamp);
-        let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
-        let is_restart = sequence <= before && stamp.0 < stamp_before.0.saturating_sub(reach);
+        let is_restart = sequence <= before && stamp_before.restarts_at(stamp, frame.dt);
         let order = if is_restart {
             self.restarts += 1;
             None
@@ -297,12 +311,15 @@ impl StreamSurvey {
         let (found, expected) = (decimal(frame.dt), decimal(self.dt));
         let interval = (frame.dt != self.dt)
             .then(|| format!("sequence {sequence}: found dt {found} s, expected {expected} s"));
-        [order, interval]
+        let (found, expected) = (frame.domain, self.domain);
+        let domain = (found != expected)
+            .then(|| format!("sequence {sequence}: found domain {found}, expected {expected}"));
+        [order, interval, domain]
     }
 }
 
 fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
-    cdr::decode::<M>(bytes).map(drop).map_err(|error| error.to_string())
+    cdr::decode::<M>(bytes).map(drop).map_err(|error| format!(": {error}"))
 }
 
 /// Checks the checksums of the data and summary sections of a file.

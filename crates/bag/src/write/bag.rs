@@ -51,6 +51,8 @@ pub struct BagWriter {
     custom_data: BTreeMap<String, String>,
     /// Whether the disk is full: the bag ends early.
     disk_full: bool,
+    /// Where times of [`BagWriter::write_stamped`] count from.
+    zero: Option<Stamp>,
 }
 
 impl BagWriter {
@@ -77,6 +79,7 @@ impl BagWriter {
             dropped: 0,
             custom_data: BTreeMap::new(),
             disk_full: false,
+            zero: None,
         })
     }
 
@@ -189,6 +192,23 @@ impl BagWriter {
     ) -> Result<(), BagError> {
         let sequence = (self.topics[topic.0].messages + 1) as u32;
         self.append(topic, sequence, log_time, publish_time, cdr)
+    }
+
+    /// Appends a message of simulated time, so that two runs give equal files: its times are `stamp`. MCAP's times are unsigned:
+    /// if the first stamp is before 0, times count from there. The stamp in the message stays.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`], but for times before 0.
+    pub fn write_stamped(
+        &mut self,
+        topic: TopicId,
+        stamp: Stamp,
+        cdr: &[u8],
+    ) -> Result<(), BagError> {
+        let Stamp(zero) = *self.zero.get_or_insert(stamp.min(Stamp(0)));
+        // Another stream may begin earlier still.
+        let time = Stamp(stamp.0.saturating_sub(zero).max(0));
+        self.write(topic, time, time, cdr)
     }
 
     /// Appends a message of another bag with its sequence number and times.

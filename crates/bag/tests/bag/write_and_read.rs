@@ -390,7 +390,7 @@ fn the_survey_reports_what_is_wrong_in_a_stream() {
         findings(&path),
         [
             "topic /particles, stream 4: found sequence 1 (repeated or late), expected 2",
-            "topic /particles, message 3: velocity[2]: found NaN, expected a finite number",
+            "topic /particles, message 3: stream 4, frame 3: velocity[2]: found NaN, expected a finite number",
             "topic /particles, stream 4: found sequence 4 after 1, expected 2",
             "topic /particles, stream 4: sequence 5: found stamp 0.064 s, expected more than 0.064 s",
             "topic /particles, message 6: CDR header: found [01, 02, 03], expected [00, 01, 00, 00] (plain CDR, little-endian) or [00, 00, 00, 00] (big-endian)",

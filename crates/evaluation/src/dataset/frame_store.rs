@@ -10,7 +10,7 @@ use std::{
 use xxhash_rust::xxh3::Xxh3;
 
 use super::{DatasetError, State, TRUTH_TOPIC};
-use eddy_bag::BagReader;
+use eddy_bag::{BagError, BagReader};
 use eddy_frames::{Frame, Stamp};
 
 /// Frames per block. A chunk of a bag holds about 25 frames of 2,500 particles, so a block wastes little of the first
@@ -143,8 +143,13 @@ impl FrameStore {
         let bag = &self.bags[location.bag];
         let mut found = Xxh3::new();
         let mut states = Vec::with_capacity(frames);
-        // Damage elsewhere in the bag was an error when the data set was loaded.
-        let of_this = |frame: &Result<Frame, _>| !matches!(frame, Ok(f) if f.stream != location.id);
+        let of_this = |frame: &Result<Frame, BagError>| match frame {
+            Ok(frame) => frame.stream == location.id,
+            // A stream that was skipped.
+            Err(BagError::Frame { place: Some((stream, _)), .. }) => *stream == location.id,
+            // Other damage was an error when the data set was loaded.
+            Err(_) => true,
+        };
         let all = bag.frames_between(TRUTH_TOPIC, from, until)?.filter(of_this);
         for frame in all.skip(before).take(frames) {
             let Frame { position, velocity, .. } = frame?;

@@ -1,7 +1,7 @@
 //! Reads bags into trajectories: in memory if they fit, else as an index of blocks on disk.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::PathBuf,
     sync::{
         Arc, Mutex, PoisonError,
@@ -14,19 +14,22 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::{
-    DatasetError, FrameStore, State, Stream, TRUTH_TOPIC, Trajectory, check_same_setup,
+    DatasetError, FrameStore, LoadOptions, Loaded, State, Stream, TRUTH_TOPIC, Trajectory,
     frame_store::{self, BLOCK, Block, StreamLocation},
     quantities::Stiffnesses,
     statistics::Bounds,
 };
-use eddy_bag::{BagReader, find_bags};
-use eddy_frames::{Frame, Stamp};
+use eddy_bag::{BagError, BagReader, find_bags};
+use eddy_frames::{Domain, Frame, Stamp, same_setup};
+use eddy_messages::UnusableFrame;
 
 /// A stream while its bag is read.
 struct PartialStream {
     /// Its states are kept only as long as all bags fit into memory.
     stream: Stream,
     frames: usize,
+    /// Stamp of the last frame.
+    stamp: Stamp,
     bounds: Bounds,
     rest: Vec<[f32; 2]>,
     location: StreamLocation,
@@ -49,15 +52,23 @@ impl Budget {
 impl PartialStream {
     fn begin(bag: &BagReader, number: usize, frame: Frame, log: Stamp, before: usize) -> Self {
         let location = StreamLocation { bag: number, id: frame.stream, blocks: Vec::new() };
+        let stamp = frame.stamp;
         let stream = Stream::begin(bag.path(), frame);
         let (bounds, checksum) = (Bounds::default(), Xxh3::new());
-        let mut partial = Self { stream, frames: 0, bounds, rest: Vec::new(), location, checksum };
+        let (frames, rest) = (0, Vec::new());
+        let mut partial = Self { stream, frames, stamp, bounds, rest, location, checksum };
         let first = partial.stream.states.pop();
         if let Some(first) = first {
             partial.rest.clone_from(&first.position);
             partial.push(first, log, before, true);
         }
         partial
+    }
+
+    /// Whether `frame` directly follows the last one.
+    fn is_continued_by(&self, frame: &Frame) -> bool {
+        self.stream.is_continued_by(frame, self.frames)
+            && !self.stamp.restarts_at(frame.stamp, frame.dt)
     }
 
     /// Adds the next state, logged at `log` after `before` other frames with the same id and log time.
@@ -81,15 +92,23 @@ impl PartialStream {
     }
 }
 
+/// What a bag holds.
+struct Contents {
+    streams: Vec<PartialStream>,
+    /// The first unusable frame of each other stream. If they are refused, there is at most one, and reading has ended there.
+    unusable: BTreeMap<u64, UnusableFrame>,
+}
+
 /// Every stream of the topic `/particles` of the bags at `paths`, ordered by id and bag. Their frames are in memory if
-/// they take at most `memory` bytes, else on disk.
+/// they take at most `options.memory` bytes, else on disk.
 ///
 /// `progress` is called after every frame with the numbers of frames read and in total.
 pub(super) fn load(
     paths: &[PathBuf],
-    memory: u64,
+    options: LoadOptions,
     progress: &mut (dyn FnMut(u64, u64) + Send),
-) -> Result<Vec<Trajectory>, DatasetError> {
+) -> Result<Loaded, DatasetError> {
+    let LoadOptions { memory, skip_streams } = options;
     let bags = find_bags(paths)?;
     let bags = bags.iter().map(|path| BagReader::open(path)).collect::<Result<Vec<_>, _>>()?;
     let mut stiffnesses = Stiffnesses::of_bags(&bags)?;
@@ -103,25 +122,41 @@ pub(super) fn load(
         show(*done, all);
     };
     let budget = Budget { bytes: AtomicU64::new(0), limit: memory };
-    let partials: Vec<Vec<PartialStream>> = bags
+    let contents: Vec<Contents> = bags
         .par_iter()
         .enumerate()
-        .map(|(number, bag)| read(bag, number, &budget, &frame_done))
+        .map(|(number, bag)| read(bag, number, skip_streams, &budget, &frame_done))
         .collect::<Result<_, _>>()?;
-    let mut partials: Vec<PartialStream> = partials.into_iter().flatten().collect();
+    let (mut partials, mut skipped) = (Vec::new(), Vec::new());
+    for Contents { streams, unusable } in contents {
+        partials.extend(streams);
+        skipped.extend(unusable.into_values());
+    }
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
+    let setup = partials.first().map(|first| (first.stream.dt, first.stream.domain));
+    skipped.extend(partials.iter().filter_map(|partial| of_other_setup(&partial.stream, setup?)));
+    if let Some(first) = skipped.first()
+        && !skip_streams
+    {
+        return Err(DatasetError::Unusable(first.clone()));
+    }
+    let is_skipped = |Stream { source, id, .. }: &Stream| {
+        skipped.iter().any(|other| other.stream == *id && other.path == *source)
+    };
+    partials.retain(|partial| !is_skipped(&partial.stream));
+    if partials.is_empty()
+        && let Some(first) = skipped.first()
+    {
+        return Err(DatasetError::Unusable(first.clone()));
+    }
     for PartialStream { stream, location, .. } in &mut partials {
         stream.stiffness = stiffnesses.of(location.bag, &stream.source, stream.id);
     }
-    if let Some(first) = partials.first() {
-        for partial in &partials {
-            check_same_setup(&first.stream, &partial.stream)?;
-        }
-    }
     if budget.holds() {
-        return Ok(partials.into_iter().map(|partial| Trajectory::from(partial.stream)).collect());
+        let streams = partials.into_iter().map(|partial| Trajectory::from(partial.stream));
+        return Ok(Loaded { streams: streams.collect(), skipped });
     }
     // A quarter is left for windows that training cuts ahead.
     let limit = memory / 4 * 3;
@@ -134,25 +169,53 @@ pub(super) fn load(
     let stored = |(number, (stream, frames, bounds, rest))| {
         Trajectory::stored(stream, frames, bounds, rest, &store, number)
     };
-    Ok(streams.into_iter().enumerate().map(stored).collect())
+    Ok(Loaded { streams: streams.into_iter().enumerate().map(stored).collect(), skipped })
 }
 
-/// The streams of one bag, split wherever a frame is missing or the particles change. Their states are kept only if
-/// all bags have fitted into memory until the end of this one.
+/// The first frame of a stream, if it cannot be used with those of this interval and domain.
+fn of_other_setup(stream: &Stream, setup: (f32, Domain)) -> Option<UnusableFrame> {
+    let Stream { source, id, dt, domain, first_sequence, .. } = stream;
+    same_setup((*dt, *domain), setup).err().map(|reason| UnusableFrame {
+        path: source.clone(),
+        stream: *id,
+        sequence: *first_sequence,
+        reason: reason.into(),
+    })
+}
+
+/// The streams of one bag, split wherever a frame is missing, the particles change or the stream restarts. Their states are kept
+/// only if all bags have fitted into memory until the end of this one.
 fn read(
     bag: &BagReader,
     number: usize,
+    skip_streams: bool,
     budget: &Budget,
     frame_done: &(dyn Fn() + Sync),
-) -> Result<Vec<PartialStream>, DatasetError> {
+) -> Result<Contents, DatasetError> {
     let mut ended: Vec<PartialStream> = Vec::new();
     let mut held = true;
     let mut open: BTreeMap<u64, PartialStream> = BTreeMap::new();
+    let mut unusable = BTreeMap::new();
     // By id: the last log time, and the number of frames logged at that time.
     let mut last: BTreeMap<u64, (Stamp, usize)> = BTreeMap::new();
     let mut frames = bag.frames(TRUTH_TOPIC)?;
     while let Some(frame) = frames.next() {
-        let (frame, log) = (frame?, frames.log_time());
+        frame_done();
+        let (frame, log) = (usable(bag, frame)?, frames.log_time());
+        let frame = match frame {
+            Ok(frame) if unusable.contains_key(&frame.stream) => continue,
+            Ok(frame) => frame,
+            Err(finding) => {
+                let id = finding.stream;
+                open.remove(&id);
+                ended.retain(|partial| partial.stream.id != id);
+                unusable.entry(id).or_insert(finding);
+                if skip_streams {
+                    continue;
+                }
+                break;
+            }
+        };
         let (time, count) = last.entry(frame.stream).or_insert((log, 0));
         if *time != log {
             (*time, *count) = (log, 0);
@@ -166,8 +229,9 @@ fn read(
             }
         }
         match open.get_mut(&frame.stream) {
-            Some(partial) if partial.stream.is_continued_by(&frame, partial.frames) => {
-                let Frame { position, velocity, .. } = frame;
+            Some(partial) if partial.is_continued_by(&frame) => {
+                let Frame { stamp, position, velocity, .. } = frame;
+                partial.stamp = stamp;
                 partial.push(State { position, velocity }, log, before, held);
             }
             _ => {
@@ -179,8 +243,64 @@ fn read(
                 ended.extend(open.insert(id, partial));
             }
         }
-        frame_done();
     }
     ended.extend(open.into_values());
-    Ok(ended)
+    Ok(Contents { streams: ended, unusable })
+}
+
+/// The streams of a topic.
+#[derive(Debug, Default)]
+pub struct StreamsFound {
+    /// Those of which every frame can be used.
+    pub usable: BTreeSet<u64>,
+    /// The first unusable frame of each other one.
+    pub unusable: BTreeMap<u64, UnusableFrame>,
+}
+
+/// Reads a topic of frames up to any damage of the bag, or until `stop`, and says which streams a model can predict from.
+///
+/// # Errors
+/// As [`BagReader::frames`].
+pub fn survey_streams(
+    bag: &BagReader,
+    topic: &str,
+    stop: &dyn Fn() -> bool,
+) -> Result<StreamsFound, BagError> {
+    let mut found = StreamsFound::default();
+    for frame in bag.frames(topic)? {
+        if stop() {
+            break;
+        }
+        match usable(bag, frame) {
+            Ok(Ok(frame)) => {
+                found.usable.insert(frame.stream);
+            }
+            Ok(Err(first)) => {
+                found.unusable.entry(first.stream).or_insert(first);
+            }
+            // No frame at all: it belongs to no stream.
+            Err(BagError::Frame { .. }) => {}
+            Err(_) => break,
+        }
+    }
+    found.usable.retain(|stream| !found.unusable.contains_key(stream));
+    Ok(found)
+}
+
+/// A frame that a model can be trained on, or why it cannot be used; other errors of the bag are errors.
+fn usable(
+    bag: &BagReader,
+    frame: Result<Frame, BagError>,
+) -> Result<Result<Frame, UnusableFrame>, BagError> {
+    let (stream, sequence, reason) = match frame {
+        Ok(frame) => match frame.check_plausible() {
+            Ok(()) => return Ok(Ok(frame)),
+            Err(reason) => (frame.stream, frame.sequence, reason.into()),
+        },
+        Err(BagError::Frame { place: Some((stream, sequence)), reason, .. }) => {
+            (stream, sequence, reason)
+        }
+        Err(error) => return Err(error),
+    };
+    Ok(Err(UnusableFrame { path: bag.path().to_owned(), stream, sequence, reason }))
 }

@@ -32,6 +32,7 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 pub use frame_store::{CacheUsage, FrameStore};
+pub use load::{StreamsFound, survey_streams};
 pub use memory::available_memory;
 pub use quantities::{quantity_of_stream, stiffness_of};
 pub use split::Part;
@@ -48,6 +49,7 @@ use eddy_inference::{
     checkpoint::Normalization,
     kernels::spacing::{median, spacing},
 };
+use eddy_messages::UnusableFrame;
 use statistics::Statistics;
 
 /// The topic that holds the truth.
@@ -71,6 +73,34 @@ pub struct Dataset {
     pub spacing: f32,
     /// SHA-256 over every stream, hexadecimal.
     pub digest: String,
+    /// The streams that were skipped: the first unusable frame of each.
+    pub skipped: Vec<UnusableFrame>,
+}
+
+/// How to load streams.
+#[derive(Clone, Copy, Debug)]
+pub struct LoadOptions {
+    /// Frames that take more memory than this in total (bytes) stay on disk and are read on demand, with at most that many bytes
+    /// in memory.
+    pub memory: u64,
+    /// Whether streams with an unusable frame are skipped instead of refused.
+    pub skip_streams: bool,
+}
+
+impl LoadOptions {
+    /// With at most this much memory (bytes), and no unusable frame.
+    pub fn within(memory: u64) -> Self {
+        Self { memory, skip_streams: false }
+    }
+}
+
+/// Streams of bags.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The usable streams, ordered by id and bag.
+    pub streams: Vec<Trajectory>,
+    /// The streams that were skipped: the first unusable frame of each.
+    pub skipped: Vec<UnusableFrame>,
 }
 
 /// Why bags cannot be used as a data set.
@@ -90,20 +120,9 @@ pub enum DatasetError {
         /// Number of streams.
         found: usize,
     },
-    /// Streams with different setups.
-    #[error("{}: stream {stream}: {field}: found {found}, expected {expected} as in the first stream", path.display())]
-    Mixed {
-        /// The bag.
-        path: PathBuf,
-        /// The stream.
-        stream: u64,
-        /// The field that differs.
-        field: &'static str,
-        /// Its value in this stream.
-        found: String,
-        /// Its value in the first stream.
-        expected: String,
-    },
+    /// A frame is invalid, implausible, or of another setup than the others.
+    #[error(transparent)]
+    Unusable(UnusableFrame),
     /// The stiffness of a stream is not known.
     #[error(
         "{}: stream {stream}: stiffness: found nothing, expected {STIFFNESS} in custom_data of metadata.yaml, or manifest.json of `eddy simulate` with this scene beside the bag",
@@ -143,19 +162,19 @@ fn list(paths: &[PathBuf]) -> String {
 }
 
 impl Dataset {
-    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them. If the frames take more than
-    /// `memory` bytes in total, they stay on disk and are read on demand, with at most that many bytes in memory.
+    /// Reads every stream of the topic `/particles` of the bags at `paths` and splits them.
     ///
     /// `progress` is called after every frame with the numbers of frames read and in total.
     ///
     /// # Errors
-    /// [`DatasetError`] when a bag cannot be read, holds no frames, or streams differ in `dt` or domain.
+    /// [`DatasetError`] when a bag cannot be read or holds no frames, when a frame is unusable (of all streams, if they are to
+    /// be skipped), or when there are too few streams.
     pub fn load(
         paths: &[PathBuf],
-        memory: u64,
+        options: LoadOptions,
         progress: &mut (dyn FnMut(u64, u64) + Send),
     ) -> Result<Self, DatasetError> {
-        let streams = load::load(paths, memory, progress)?;
+        let Loaded { streams, skipped } = load::load(paths, options, progress)?;
         let numbers = split_numbers(&streams);
         let ids = split::distinct_ids(numbers.iter().copied());
         if ids.len() < 2 {
@@ -181,7 +200,7 @@ impl Dataset {
         }
         let (normalization, digest) = (statistics.normalization(), hex(hasher));
         let spacing = median(train.par_iter().map(|stream| spacing(&stream.rest)).collect());
-        Ok(Self { train, validation, test, normalization, spacing, digest })
+        Ok(Self { train, validation, test, normalization, spacing, digest, skipped })
     }
 
     /// Fingerprints of the streams of the training and validation parts.
@@ -198,8 +217,7 @@ impl Dataset {
     }
 }
 
-/// Every stream of the topic `/particles` of the bags at `paths`, ordered by id and bag. Frames stay on disk if they
-/// take more than `memory` bytes in total, as in [`Dataset::load`].
+/// Every stream of the topic `/particles` of the bags at `paths`.
 ///
 /// `progress` is called after every frame with the numbers of frames read and in total.
 ///
@@ -207,29 +225,10 @@ impl Dataset {
 /// As [`Dataset::load`], but a single stream is sufficient.
 pub fn load_trajectories(
     paths: &[PathBuf],
-    memory: u64,
+    options: LoadOptions,
     progress: &mut (dyn FnMut(u64, u64) + Send),
-) -> Result<Vec<Trajectory>, DatasetError> {
-    load::load(paths, memory, progress)
-}
-
-fn check_same_setup(first: &Stream, stream: &Stream) -> Result<(), DatasetError> {
-    let mixed = |field, found: String, expected: String| {
-        Err(DatasetError::Mixed {
-            path: stream.source.clone(),
-            stream: stream.id,
-            field,
-            found,
-            expected,
-        })
-    };
-    if stream.dt != first.dt {
-        return mixed("dt", format!("{} s", stream.dt), format!("{} s", first.dt));
-    }
-    if stream.domain != first.domain {
-        return mixed("domain", format!("{:?}", stream.domain), format!("{:?}", first.domain));
-    }
-    Ok(())
+) -> Result<Loaded, DatasetError> {
+    load::load(paths, options, progress)
 }
 
 /// The streams that training on all of `streams` would put into the test part.

@@ -53,7 +53,11 @@ fn a_stream_has_the_stiffness_that_the_metadata_of_its_bag_says() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
     let (folder, streams) = simulated(extent, 2);
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
-    let load = || load_trajectories(&[folder.path().into()], u64::MAX, &mut |_, _| ());
+    let load = || {
+        let options = LoadOptions::within(u64::MAX);
+        let loaded = load_trajectories(&[folder.path().into()], options, &mut |_, _| ())?;
+        Ok::<_, DatasetError>(loaded.streams)
+    };
     // Rather than the manifest. As yaml-cpp writes the value in rosbag2: without quotation marks.
     let bag = streams[1].source.clone();
     restate_stiffness(&bag, "eddy_stiffness: 2.5e4");
@@ -79,7 +83,10 @@ fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
     // As an older version has left them.
     streams.iter().for_each(|stream| restate_stiffness(&stream.source, "run: seven"));
-    let load = |memory| load_trajectories(&[folder.path().into()], memory, &mut |_, _| ()).unwrap();
+    let load = |memory| {
+        let options = LoadOptions::within(memory);
+        load_trajectories(&[folder.path().into()], options, &mut |_, _| ()).unwrap().streams
+    };
     let streams = load(u64::MAX);
     for stream in &streams {
         assert_eq!(stream.stiffness, Some(scenes[&stream.id].materials.stiffness));
@@ -126,7 +133,7 @@ fn write_bag(path: &Path, streams: &[Stream]) {
 
 /// Loads bags; frames that take more than `memory` bytes stay on disk.
 fn load(paths: &[PathBuf], memory: u64) -> Result<Dataset, DatasetError> {
-    Dataset::load(paths, memory, &mut |_, _| {})
+    Dataset::load(paths, LoadOptions::within(memory), &mut |_, _| {})
 }
 
 fn ids(streams: &[Trajectory]) -> Vec<(u64, u64, usize)> {
@@ -194,4 +201,49 @@ fn one_compressed_stream_does_not_affect_the_spacing() {
     let spacing = |name: &str| load(&[folder.path().join(name)], u64::MAX).unwrap().spacing;
     assert_eq!(spacing("compressed"), spacing("usual"));
     assert!(spacing("compressed") > 0.0 && spacing("compressed").is_finite());
+}
+
+#[test]
+fn skipped_streams_leave_the_others_as_they_would_be_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mixed, alone) = (folder.path().join("mixed"), folder.path().join("alone"));
+    let mut streams: Vec<_> = (0..5).map(stream).collect();
+    write_bag(&alone, &[0, 2, 4].map(stream));
+    streams[1].states[30].position[3] = [0.5, 1.2];
+    streams[3].states[20].velocity[2][1] = f32::NAN;
+    write_bag(&mixed, &streams);
+    for memory in [u64::MAX, 1] {
+        let options = |skip_streams| LoadOptions { memory, skip_streams };
+        let load =
+            |path: &Path, skip| Dataset::load(&[path.to_owned()], options(skip), &mut |_, _| ());
+        let message = load(&mixed, false).unwrap_err().to_string();
+        assert!(message.contains("mixed: stream 3, frame 20: velocity[2]: found NaN"), "{message}");
+        let (skipping, alone) = (load(&mixed, true).unwrap(), load(&alone, false).unwrap());
+        assert_eq!(skipping.digest, alone.digest);
+        assert_eq!(skipping.normalization, alone.normalization);
+        let found: Vec<_> = skipping.skipped.iter().map(|it| (it.stream, it.sequence)).collect();
+        assert_eq!(found, [(1, 30), (3, 20)]);
+        for (some, others) in [(&skipping.train, &alone.train), (&skipping.test, &alone.test)] {
+            for (one, other) in some.iter().zip(others) {
+                let all = 0..one.frames;
+                assert_eq!(one.cut(all.clone()).unwrap().states, other.cut(all).unwrap().states);
+            }
+        }
+    }
+}
+
+#[test]
+fn streams_of_another_domain_are_named_or_skipped() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut streams = [0, 1, 2].map(stream);
+    streams[2].domain = Domain { upper: [2.0, 1.0], ..Domain::UNIT };
+    write_bag(&folder.path().join("bag"), &streams);
+    let load = |skip_streams| {
+        let options = LoadOptions { memory: u64::MAX, skip_streams };
+        Dataset::load(&[folder.path().join("bag")], options, &mut |_, _| ())
+    };
+    let message = load(false).unwrap_err().to_string();
+    let expected = "bag: stream 2, frame 0: lower, upper: found 0 to 2 x 0 to 1, expected 0 to 1 x 0 to 1 as in the first stream";
+    assert!(message.ends_with(expected), "{message}");
+    assert_eq!(load(true).unwrap().skipped.len(), 1);
 }

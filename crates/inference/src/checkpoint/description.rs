@@ -287,8 +287,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     }
     let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
     rules::check(file, &description.rules, (spacing, *dt), description.stiffness)?;
-    let corners = format!("{:?}, {:?}", domain.lower, domain.upper);
-    require(domain.is_valid(), "domain", &corners, "finite corners with lower < upper")?;
+    require(domain.is_valid(), "domain", &domain.to_string(), "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)
 }
 

@@ -1,6 +1,7 @@
 //! Why a network cannot be used, or not for a frame.
 
 use crate::checkpoint::CheckpointError;
+use eddy_frames::{Domain, InvalidFrame};
 
 /// A number of any size with about three digits.
 fn significant(number: f32) -> String {
@@ -60,49 +61,46 @@ pub enum ModelError {
     /// The domain differs from the one in training (frame model only).
     #[error("lower, upper: found {found}, expected {expected} as in the checkpoint")]
     Domain {
-        /// The frame's corners.
-        found: String,
+        /// The frame's domain.
+        found: Domain,
         /// The checkpoint's.
-        expected: String,
+        expected: Domain,
     },
     /// The domain is not larger than its two walls together.
-    #[error("lower, upper: found {found}, expected more than {expected:?} from corner to corner")]
+    #[error("lower, upper: found {found}, expected a width above {} and a height above {}, for the walls", expected[0], expected[1])]
     Narrow {
-        /// The frame's corners.
-        found: String,
+        /// The frame's domain.
+        found: Domain,
         /// Thickness of both walls together, on each axis (domain lengths).
         expected: [f32; 2],
     },
-    /// Particles are far outside of the frame's domain; probably the units are wrong.
-    #[error("positions reach {} domain lengths, expected at most {expected}: units?", significant(*found))]
-    Outside {
-        /// Largest distance of a particle from a wall of the domain (widths or heights of the domain).
-        found: f32,
-        /// Largest accepted distance (the same).
-        expected: f32,
-    },
-    /// Particles are much faster than any in training; probably the units are wrong.
+    /// No simulation has such a state; probably the units are wrong.
+    #[error(transparent)]
+    Implausible(#[from] InvalidFrame),
+    /// A particle is much faster than any in training; probably the units are wrong.
     #[error(
-        "velocities reach {} domain lengths/s, {} times the largest in training ({}): units?",
-        significant(*found),
-        significant(*found / *learned),
-        significant(*learned)
+        "velocity[{particle}]: found {} domain lengths/s along an axis, expected at most {}, twice the largest in training: units?",
+        significant(*found), significant(*expected)
     )]
     Fast {
-        /// Largest component of a velocity (domain lengths/s).
+        /// The first such particle.
+        particle: usize,
+        /// Its largest component (domain lengths/s).
         found: f32,
-        /// The same in training.
-        learned: f32,
+        /// The largest accepted one (the same).
+        expected: f32,
     },
     /// The domain is so large for its number of particles that empty grid cells would dominate the cost.
     #[error(
-        "lower, upper: found {found}, {cells} of the checkpoint's cells, expected at most {most}"
+        "lower, upper: found {found}, {cells:.0} cells of {cell_width} domain lengths, expected at most {most}: units?"
     )]
     Wide {
-        /// The frame's corners.
-        found: String,
+        /// The frame's domain.
+        found: Domain,
         /// Number of cells in it.
         cells: f32,
+        /// The checkpoint's cell width (domain lengths).
+        cell_width: f32,
         /// Largest accepted number of cells.
         most: usize,
     },

@@ -14,7 +14,7 @@
 //!    (`bf16`).
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
-//! 8. [`Warning`]: inputs that a network can predict, but was not trained for.
+//! 8. [`fits()`]: which frames a network can predict. [`Warning`]: inputs that it can predict, but was not trained for.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
 //!    or the [`Accelerator`].
 //!
@@ -33,6 +33,7 @@ mod core;
 mod decoded;
 mod encoder;
 mod error;
+mod fits;
 mod frame_model;
 mod grid;
 mod hidden_state;
@@ -67,6 +68,7 @@ pub use accelerator::{Accelerator, DeviceState, DeviceStep, StreamStart};
 pub use ballistic::Ballistic;
 pub use decoded::Decoded;
 pub use error::ModelError;
+pub use fits::fits;
 pub use hidden_state::HiddenState;
 pub use rules::Corrector;
 pub use stepper::{StepRequest, Stepper};

@@ -15,29 +15,13 @@ use super::{
     warning,
 };
 use crate::{
-    checkpoint::{Architecture, Checkpoint, Description, GridOptions, Normalization},
+    checkpoint::{Architecture, Checkpoint, Description},
     error_model::{ERROR_MODEL_FILE, ErrorModel},
 };
-use eddy_frames::{Domain, Frame, FrameView, Stamp};
-
-/// Largest accepted distance between a stream's domain corners and the checkpoint's (domain lengths).
-const DOMAIN_TOLERANCE: f32 = 1e-6;
-
-/// Largest accepted number of cells per particle; a filled domain has less than one.
-const MAX_CELLS_PER_PARTICLE: usize = 64;
-
-/// Number of cells that is always accepted: their cost is negligible.
-const FREE_CELLS: usize = 1 << 20;
+use eddy_frames::{Frame, FrameView, Stamp};
 
 /// More threads than this would idle: no layer has many more panels.
 const MAX_THREADS: usize = 256;
-
-/// Largest accepted distance of a particle from any wall of its domain (widths or heights of the domain). Solvers leave a
-/// few particles slightly outside.
-const MAX_REACH: f32 = 1.1;
-
-/// Largest accepted velocity, relative to the largest in training.
-const SPEED_FACTOR: f32 = 2.0;
 
 /// Precision of the factors that most layers of a particle model multiply: those on the nodes of its grid, and those on
 /// particles after the grid if the core is minGRU or minLSTM. Their products are summed in single precision.
@@ -259,37 +243,12 @@ impl Surrogate {
         self.error_model.as_deref()
     }
 
-    /// Checks that the network can predict such a frame.
+    /// As [`fits`](super::fits()), for this network.
     ///
     /// # Errors
-    /// [`ModelError`] if it cannot: a material or interval it was not trained on, another number of particles or another
-    /// domain (frame model), a domain with no space between its walls or far too large for its particles (particle
-    /// model), particles far outside of the domain or much faster than any in training.
+    /// As [`fits`](super::fits()).
     pub fn fits<'a>(&self, frame: impl Into<FrameView<'a>>) -> Result<(), ModelError> {
-        let frame = frame.into();
-        let particles = frame.particles;
-        let Description { sizes, materials, dt, domain, .. } = &self.description;
-        if let Some(expected) = sizes.particles
-            && expected != particles.len()
-        {
-            return Err(ModelError::Particles { found: particles.len(), expected });
-        }
-        let mut kinds = particles.materials().enumerate();
-        if let Some((particle, found)) = kinds.find(|(_, kind)| !materials.contains(kind)) {
-            let expected: Vec<_> = materials.iter().map(|m| m.name()).collect();
-            let (found, expected) = (found.name(), expected.join(", "));
-            return Err(ModelError::Material { particle, found, expected });
-        }
-        if !self.description.has_interval(frame.dt) {
-            return Err(ModelError::Interval { found: frame.dt, expected: *dt });
-        }
-        match &self.description.grid {
-            None => same_domain(&frame.domain, domain)?,
-            Some(GridOptions { cell_width, .. }) => {
-                fits_domain(&frame.domain, &self.description, *cell_width, particles.len())?;
-            }
-        }
-        in_range(&frame, &self.description)
+        super::fits(&self.description, frame)
     }
 
     /// Checks the stiffness of a stream (density x velocity^2), or that none is given.
@@ -358,67 +317,4 @@ impl Surrogate {
         };
         Ok(HiddenState { network: own, ..hidden })
     }
-}
-
-/// Checks that the domain is the one the frame model was trained in.
-fn same_domain(found: &Domain, expected: &Domain) -> Result<(), ModelError> {
-    let apart = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-    let distance = apart(found.lower, expected.lower).max(apart(found.upper, expected.upper));
-    // Written so that NaN is rejected.
-    if distance <= DOMAIN_TOLERANCE {
-        return Ok(());
-    }
-    Err(ModelError::Domain { found: corners(found), expected: corners(expected) })
-}
-
-/// Checks that the particle model can work in a domain: of any size, but not almost empty.
-fn fits_domain(
-    found: &Domain,
-    description: &Description,
-    cell_width: f32,
-    particles: usize,
-) -> Result<(), ModelError> {
-    let Description { domain, normalization, .. } = description;
-    let thickness: [f32; 2] = std::array::from_fn(|axis| {
-        let lower = normalization.minimum[axis] - domain.lower[axis];
-        lower + domain.upper[axis] - normalization.maximum[axis]
-    });
-    let extent: [f32; 2] = std::array::from_fn(|axis| found.upper[axis] - found.lower[axis]);
-    if !(0..2).all(|axis| extent[axis] > thickness[axis].max(0.0)) {
-        return Err(ModelError::Narrow { found: corners(found), expected: thickness });
-    }
-    let cells = (extent[0] / cell_width) * (extent[1] / cell_width);
-    let most = particles.saturating_mul(MAX_CELLS_PER_PARTICLE).max(FREE_CELLS);
-    if cells <= most as f32 {
-        return Ok(());
-    }
-    Err(ModelError::Wide { found: corners(found), cells, most })
-}
-
-/// Checks that positions and velocities have the units of the training data.
-fn in_range(frame: &FrameView<'_>, description: &Description) -> Result<(), ModelError> {
-    let Domain { lower, upper } = frame.domain;
-    let per_length: [f32; 2] = std::array::from_fn(|axis| 1.0 / (upper[axis] - lower[axis]));
-    let (mut reach, mut speed) = (0.0f32, 0.0f32);
-    for (position, velocity) in (0..frame.particles.len()).map(|n| frame.particles.motion(n)) {
-        for axis in 0..2 {
-            let distance = (position[axis] - lower[axis]).max(upper[axis] - position[axis]);
-            reach = reach.max(distance * per_length[axis]);
-            speed = speed.max(velocity[axis].abs());
-        }
-    }
-    if reach > MAX_REACH {
-        return Err(ModelError::Outside { found: reach, expected: MAX_REACH });
-    }
-    let Normalization { minimum, maximum, .. } = &description.normalization;
-    let learned =
-        minimum[2..].iter().chain(&maximum[2..]).fold(0.0f32, |most, v| most.max(v.abs()));
-    if speed > SPEED_FACTOR * learned {
-        return Err(ModelError::Fast { found: speed, learned });
-    }
-    Ok(())
-}
-
-fn corners(domain: &Domain) -> String {
-    format!("{:?}, {:?}", domain.lower, domain.upper)
 }

@@ -277,7 +277,7 @@ fn particles_that_a_network_cannot_predict_are_rejected() {
         other.material.fill(Material::Liquid);
         other.domain.upper = upper;
         let message = surrogate(Architecture::Particle).start(&other).err().unwrap().to_string();
-        assert!(message.ends_with("from corner to corner"), "{message}");
+        assert!(message.ends_with(", for the walls"), "{message}");
     }
     let message = rejection(Architecture::Particle, |frame| frame.domain.upper = [1e9, 1.0]);
     assert!(message.ends_with("expected at most 1048576"), "{message}");
@@ -367,7 +367,7 @@ fn particles_outside_the_domain_neither_stop_the_engine_nor_stay_outside() {
             frame.velocity[..count].fill([40.0, -1e6]);
             assert!(matches!(
                 surrogate.fits(&frame),
-                Err(ModelError::Outside { .. } | ModelError::Fast { .. })
+                Err(ModelError::Implausible(_) | ModelError::Fast { .. })
             ));
             for _ in 0..3 {
                 frame = stepper.step(&mut hidden, &frame);

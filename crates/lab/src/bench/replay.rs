@@ -55,7 +55,7 @@ pub fn time(path: &Path, plan: &Plan, is_over: &dyn Fn() -> bool) -> Result<Timi
     let mut frame = particles::frame(plan.particles);
     for due in &dues {
         let stamp = Stamp(due.as_nanos() as i64);
-        bag.write(topic, stamp, stamp, &frame.to_cdr())?;
+        bag.write_stamped(topic, stamp, &frame.to_cdr())?;
         // Distinct frames, so that they do not compress to nothing.
         frame.position.as_flattened_mut().iter_mut().for_each(|x| *x = (1.01 * *x).fract());
     }

@@ -100,7 +100,7 @@ fn write_bag(case: &Case, output: &Path) -> anyhow::Result<()> {
         COMPARED.len()
     );
     for frame in frames {
-        writer.write(topic, frame.stamp, frame.stamp, &frame.to_cdr())?;
+        writer.write_stamped(topic, frame.stamp, &frame.to_cdr())?;
     }
     writer.finish()?;
     Ok(())

@@ -23,7 +23,7 @@ use super::{
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Report, Role, Settings,
     dataset::{
-        self, Dataset, DatasetError,
+        self, Dataset, DatasetError, LoadOptions,
         simulate::{SimulationRequest, simulate},
     },
     page::{Table, command_line},
@@ -238,7 +238,8 @@ impl<'a> Work<'a> {
 
     /// The scenes of a data set.
     pub(super) fn load_data(&self, set: &str) -> Result<Dataset, DatasetError> {
-        Dataset::load(&[self.folders.data(set)], dataset::available_memory() / 2, &mut |_, _| ())
+        let memory = LoadOptions::within(dataset::available_memory() / 2);
+        Dataset::load(&[self.folders.data(set)], memory, &mut |_, _| ())
     }
 
     /// Simulates the missing scenes of every data set, and those for the evaluation, on an NVIDIA GPU if that is the device.
@@ -285,12 +286,12 @@ impl<'a> Work<'a> {
         let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
         let test_set = self.comparison.test_set(self.study, set);
         let data = self.folders.data(&test_set.as_ref().unwrap_or(set).name);
-        let memory = dataset::available_memory() / 2;
+        let memory = LoadOptions::within(dataset::available_memory() / 2);
         let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
             recorded: Vec::new(),
             checkpoints,
-            streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?,
+            streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?.streams,
             stiffness: None,
             // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
             settings: Settings::errors_only(evaluation.horizon, evaluation.starts),

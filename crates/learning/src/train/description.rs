@@ -116,7 +116,7 @@ pub(super) fn start_from(
         }
         let [found, expected] = both.map(|network| network.domain);
         if found != expected {
-            return other("domain", format!("{found:?}"), format!("{expected:?}"));
+            return other("domain", found.to_string(), expected.to_string());
         }
     }
     description.training.start = Some(digest);

@@ -8,6 +8,16 @@ use crate::ranks::RankError;
 use eddy_evaluation::{EvalError, dataset::DatasetError};
 use eddy_inference::{checkpoint::CheckpointError, engine::ModelError};
 
+/// What nothing does in streams where a feature is the same for all particles in all frames.
+fn lacking(feature: &str) -> &'static str {
+    match feature {
+        "x" => "is anywhere else horizontally",
+        "y" => "is anywhere else vertically",
+        "vx" => "moves horizontally",
+        _ => "moves vertically",
+    }
+}
+
 /// Why a network cannot be trained, or training cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
@@ -69,7 +79,8 @@ pub enum TrainError {
     },
     /// A feature is constant and cannot be normalised.
     #[error(
-        "training streams: {feature}: found {found} everywhere, expected at least two different values"
+        "training streams: nothing {} in these streams, so that a network cannot learn it: {feature}: found {found} everywhere, expected at least two different values; record longer, or add a scene with such motion",
+        lacking(feature)
     )]
     Constant {
         /// The feature.
@@ -105,6 +116,16 @@ pub enum TrainError {
         windows: String,
         /// The loss.
         found: f32,
+    },
+    /// A network with these settings could not predict a stream of the data.
+    #[error("{}: stream {stream}: {reason}", source_file.display())]
+    Stream {
+        /// The bag.
+        source_file: PathBuf,
+        /// The stream.
+        stream: u64,
+        /// Why.
+        reason: Box<ModelError>,
     },
     /// The validation streams cannot be used.
     #[error("validation: {0}")]

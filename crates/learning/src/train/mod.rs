@@ -78,7 +78,10 @@ use crate::{
 };
 use eddy_evaluation::dataset::Dataset;
 use eddy_frames::{clock::Clock, progress::Progress};
-use eddy_inference::checkpoint::{Checkpoint, Description};
+use eddy_inference::{
+    checkpoint::{Checkpoint, Description},
+    engine::fits,
+};
 use steps::Learner;
 use window::Sampler;
 
@@ -211,7 +214,7 @@ fn train_with(
     if let Some(start) = run.start {
         description::start_from(&mut description, config, start)?;
     }
-    check_streams(config, dataset)?;
+    check_streams(config, dataset, &description)?;
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
     footprint::check(config, &description, particles, run)?;
     // Rank 0 settles the folder before other processes read it.
@@ -237,8 +240,20 @@ fn train_with(
     outcome
 }
 
-/// Rejects streams that are too short for any stage of the run, before it starts.
-fn check_streams(config: &TrainConfig, dataset: &Dataset) -> Result<(), TrainError> {
+/// Rejects streams that are too short for any stage of the run, or that its network could not predict, before it starts.
+fn check_streams(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    description: &Description,
+) -> Result<(), TrainError> {
+    for stream in dataset.train.iter().chain(&dataset.validation).chain(&dataset.test) {
+        let first = stream.cut(0..1)?.frame(0);
+        fits(description, &first).map_err(|reason| TrainError::Stream {
+            source_file: stream.source.clone(),
+            stream: stream.id,
+            reason: Box::new(reason),
+        })?;
+    }
     for stage in &config.unroll {
         sampler(config, dataset, stage.frames)?;
     }

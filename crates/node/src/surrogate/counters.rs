@@ -91,8 +91,12 @@ impl Counters {
             Rejection::Bad(BadFrame::Invalid(InvalidFrame::Interval { .. }))
             | Rejection::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
             Rejection::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
-            Rejection::Model(ModelError::Outside { .. }) => &mut self.outside_domain,
-            Rejection::Model(ModelError::Fast { .. }) => &mut self.too_fast,
+            Rejection::Model(ModelError::Implausible(InvalidFrame::Outside { .. })) => {
+                &mut self.outside_domain
+            }
+            Rejection::Model(ModelError::Implausible(_) | ModelError::Fast { .. }) => {
+                &mut self.too_fast
+            }
             Rejection::Model(_) => &mut self.wrong_particles,
             Rejection::Late { .. } => &mut self.late,
             Rejection::FreeRunning { .. } => &mut self.ignored_in_free_run,

@@ -8,9 +8,6 @@ use eddy_inference::{
     error_model::{ErrorEstimate, ErrorModel, ErrorTracker},
 };
 
-/// A stamp more than this many intervals in the past means that the stream restarted (a looped bag).
-const RESTART_INTERVALS: u32 = 16;
-
 pub(super) struct StreamState {
     /// Hidden state of the model after the last frame, observed or filled in.
     pub memory: HiddenState,
@@ -54,12 +51,13 @@ pub(super) fn expected_error(
 }
 
 impl StreamState {
-    /// How `frame` relates to the last one. Different particles, or a stamp more than [`RESTART_INTERVALS`] in the past,
-    /// restart the stream.
+    /// How `frame` relates to the last one. Different particles, another domain, or a stamp far in the
+    /// past, restart the stream.
     pub(super) fn order(&self, frame: &FrameView<'_>) -> Order {
-        let reach = Stamp(0).advance(frame.dt, RESTART_INTERVALS).0;
-        let restarted = frame.stamp < Stamp(self.stamp.0.saturating_sub(reach));
-        if restarted || !frame.particles.are_of(&self.predicted.material) {
+        let restarted = self.stamp.restarts_at(frame.stamp, frame.dt);
+        let same = frame.domain == self.predicted.domain
+            && frame.particles.are_of(&self.predicted.material);
+        if restarted || !same {
             return Order::Restart;
         }
         match frame.sequence.checked_sub(self.sequence + 1) {

@@ -469,16 +469,17 @@ fn frames_in_other_units_are_counted_and_not_predicted() {
         Payload::Frame(frame)
     };
     for (payload, expected) in [
-        (scaled(1.0, 0.5, 1.0), "positions reach 1."),
-        (scaled(1000.0, 0.0, 1.0), "positions reach "),
-        (scaled(1e30, 0.0, 1.0), "e29 domain lengths, expected at most 1.1: units?"),
-        (scaled(1.0, 0.0, 1000.0), "times the largest in training (1.00): units?"),
+        (scaled(1.0, 0.5, 1.0), "expected inside the domain 0 to 1 x 0 to 1"),
+        (scaled(1000.0, 0.0, 1.0), "expected inside the domain"),
+        (scaled(1e30, 0.0, 1.0), "expected inside the domain"),
+        (scaled(1.0, 0.0, 10.0), "expected at most 2.00, twice the largest in training: units?"),
+        (scaled(1.0, 0.0, 1000.0), "twice through the domain in"),
     ] {
         let message = observe(&mut node, vec![payload]).unwrap_err().to_string();
         assert!(message.contains(expected) && message.ends_with("units?"), "{message}");
     }
     let Counters { outside_domain, too_fast, malformed, resets, .. } = *node.counters();
-    assert_eq!((outside_domain, too_fast, malformed, resets), (3, 1, 0, 0));
+    assert_eq!((outside_domain, too_fast, malformed, resets), (3, 2, 0, 0));
     assert_eq!(feed_all(&mut node, [frame(1, 4)]).len(), 1, "the stream goes on");
 }
 

@@ -9,6 +9,7 @@ use rayon::ThreadPoolBuildError;
 
 use super::plan::bytes;
 use eddy_bag::BagError;
+use eddy_frames::InvalidFrame;
 use eddy_mpm::MpmError;
 
 /// Why some or all scenes cannot be simulated.
@@ -130,6 +131,16 @@ pub enum SimulateError {
         directory: PathBuf,
         /// How many others are missing.
         more: usize,
+    },
+    /// A simulated frame is not plausible: no model would be trained on it.
+    #[error("at {time:.3} s: frame {sequence}: {reason}; try more substeps")]
+    Implausible {
+        /// Simulation time (s).
+        time: f64,
+        /// The frame.
+        sequence: u64,
+        /// Why.
+        reason: InvalidFrame,
     },
     /// A bag cannot be written.
     #[error(transparent)]

@@ -122,18 +122,22 @@ impl Recording {
     /// Adds the next frame of a simulation and its energy; pressure and energy of every particle, if requested.
     ///
     /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn add(&mut self, frame: &Frame, simulation: &Simulation) -> Result<(), BagError> {
+    /// As [`BagWriter::write`]; [`SimulateError::Implausible`].
+    pub fn add(&mut self, frame: &Frame, simulation: &Simulation) -> Result<(), SimulateError> {
+        let (time, sequence) = (frame.stamp.seconds(), frame.sequence);
+        let implausible = |reason| SimulateError::Implausible { time, sequence, reason };
+        frame.check_plausible().map_err(implausible)?;
         let cdr = frame.to_cdr();
         self.digest.update(&cdr);
         self.energy.push(frame.stamp.seconds(), simulation.energy());
         self.frames += 1;
-        self.writer.write(self.topic, frame.stamp, frame.stamp, &cdr)?;
+        self.writer.write_stamped(self.topic, frame.stamp, &cdr)?;
         let Some(topic) = self.fields else { return Ok(()) };
         let ParticleState { pressure, energy } = simulation.particle_state();
         let properties = [("pressure", &pressure[..]), ("energy", &energy[..])];
         let cdr = cloud::properties_to_cdr(frame, &properties);
-        self.writer.write(topic, frame.stamp, frame.stamp, &cdr)
+        self.writer.write_stamped(topic, frame.stamp, &cdr)?;
+        Ok(())
     }
 
     /// Finishes the bag and syncs it to disk.
