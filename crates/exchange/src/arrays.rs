@@ -18,6 +18,10 @@ use npyz::{
 use zip::{CompressionMethod, ZipArchive, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
 use super::error::ExchangeError;
+use eddy_evaluation::dataset::available_memory;
+
+/// The number types that are read.
+const NUMBERS: &str = "an array of numbers (f4, f8, i1 to i8 or u1 to u8)";
 
 /// Writes an archive array by array, uncompressed as `numpy.savez` does.
 pub(super) struct ArchiveWriter {
@@ -150,9 +154,13 @@ impl Archive {
         let header = source.header(&mut entry)?;
         let shape = source.shape(header.shape())?;
         let numeric = Numeric::of(&header.dtype())
-            .ok_or_else(|| source.fault(header.dtype().descr(), "an array of numbers"))?;
+            .ok_or_else(|| source.fault(format!("dtype {}", header.dtype().descr()), NUMBERS))?;
         let values = source.numbers(&mut entry, &numeric, &shape)?;
         source.end(&mut entry)?;
+        let values = match header.order() {
+            Order::C => values,
+            Order::Fortran => in_c_order(&values, &shape),
+        };
         Ok(Some(Array { shape, values }))
     }
 
@@ -166,6 +174,10 @@ impl Archive {
         let mut entry = entry.map_err(|error| zip_error(&self.path, error))?;
         let source = Source { path: &self.path, name };
         let header = source.header(&mut entry)?;
+        if header.order() == Order::Fortran && header.shape().len() > 1 {
+            let expected = "C order (numpy.ascontiguousarray makes it)";
+            return Err(source.fault("Fortran order", expected));
+        }
         let dtype = header.dtype();
         let expected = "a structured array with at least two fields of numbers";
         let fault = || source.fault(dtype.descr(), expected);
@@ -212,10 +224,6 @@ impl Source<'_> {
         if header.uses_pickled_array() {
             return Err(ExchangeError::Pickle { path: self.path.into(), array: self.name.into() });
         }
-        if header.order() == Order::Fortran && header.shape().len() > 1 {
-            let expected = "C order (numpy.ascontiguousarray makes it)";
-            return Err(self.fault("Fortran order", expected));
-        }
         Ok(header)
     }
 
@@ -239,6 +247,13 @@ impl Source<'_> {
     ) -> Result<Vec<T>, ExchangeError> {
         let count = self.length(&[outer, &numeric.shape].concat())?;
         let bytes = self.length(&[count, numeric.size])?;
+        // Of the bytes and the numbers: a few bytes of an archive may be the zeros of a large array.
+        let needed = (count as u64).saturating_mul((numeric.size + size_of::<T>()) as u64);
+        let available = available_memory();
+        if needed > available {
+            let found = format!("{count} numbers, which need {needed} bytes");
+            return Err(self.fault(found, &format!("at most the {available} that are free")));
+        }
         let mut raw = Vec::new();
         let read = entry.take(bytes as u64).read_to_end(&mut raw);
         // A wrong checksum, or a truncated archive.
@@ -249,7 +264,8 @@ impl Source<'_> {
         }
         let values = raw.chunks_exact(numeric.size).map(|bytes| {
             let value = numeric.decode(bytes);
-            T::from_value(value).ok_or_else(|| self.fault(value.describe(), T::EXPECTED))
+            let found = || format!("{} (dtype {})", value.describe(), numeric.dtype);
+            T::from_value(value).ok_or_else(|| self.fault(found(), T::EXPECTED))
         });
         values.collect()
     }
@@ -271,8 +287,35 @@ impl Source<'_> {
     }
 }
 
+/// Sorts the values of an array in Fortran order, whose first index varies fastest.
+fn in_c_order<T: Copy>(values: &[T], shape: &[usize]) -> Vec<T> {
+    let strides = shape.iter().scan(1, |next, &extent| {
+        let stride = *next;
+        *next *= extent;
+        Some(stride)
+    });
+    let strides: Vec<usize> = strides.collect();
+    let mut place = vec![0; shape.len()];
+    let mut sorted = Vec::with_capacity(values.len());
+    for _ in values {
+        sorted.push(
+            values[place.iter().zip(&strides).map(|(index, stride)| index * stride).sum::<usize>()],
+        );
+        for (index, &extent) in place.iter_mut().zip(shape).rev() {
+            *index += 1;
+            if *index < extent {
+                break;
+            }
+            *index = 0;
+        }
+    }
+    sorted
+}
+
 /// A numeric element type, with a shape of its own in a structured array.
 struct Numeric {
+    /// Its name in NumPy.
+    dtype: String,
     kind: TypeChar,
     /// Bytes of one number.
     size: usize,
@@ -302,7 +345,8 @@ impl Numeric {
             _ => false,
         };
         let swapped = text.endianness() == Endianness::Big;
-        known.then_some(Self { kind, size, swapped, shape: Vec::new() })
+        let dtype = text.to_string();
+        known.then_some(Self { dtype, kind, size, swapped, shape: Vec::new() })
     }
 
     fn decode(&self, bytes: &[u8]) -> Value {
@@ -330,6 +374,17 @@ pub(super) enum Value {
 }
 
 impl Value {
+    /// The number, if it is whole: also a float, as which programs save what they have calculated.
+    fn whole(self) -> Option<i128> {
+        match self {
+            Self::Integer(number) => Some(number),
+            // A larger one is no integer of 64 bits.
+            Self::Float(number) => {
+                (number.fract() == 0.0 && number.abs() < 1e20).then_some(number as i128)
+            }
+        }
+    }
+
     fn describe(self) -> String {
         match self {
             Self::Float(number) => number.to_string(),
@@ -339,7 +394,7 @@ impl Value {
 }
 
 /// Number types that arrays are read as.
-pub(super) trait Number: Sized {
+pub(super) trait Number: Copy {
     /// For error messages.
     const EXPECTED: &str;
     fn from_value(value: Value) -> Option<Self>;
@@ -360,10 +415,7 @@ impl Number for i64 {
     const EXPECTED: &str = "an integer of 64 bits";
 
     fn from_value(value: Value) -> Option<Self> {
-        match value {
-            Value::Integer(number) => number.try_into().ok(),
-            Value::Float(_) => None,
-        }
+        value.whole()?.try_into().ok()
     }
 }
 
@@ -371,10 +423,7 @@ impl Number for u64 {
     const EXPECTED: &str = "an integer from 0 to 2^64 - 1";
 
     fn from_value(value: Value) -> Option<Self> {
-        match value {
-            Value::Integer(number) => number.try_into().ok(),
-            Value::Float(_) => None,
-        }
+        value.whole()?.try_into().ok()
     }
 }
 
@@ -419,17 +468,45 @@ mod tests {
     }
 
     #[test]
+    fn an_array_in_fortran_order_is_read_as_numpy_shows_it() {
+        let folder = tempfile::tempdir().unwrap();
+        // np.asfortranarray(np.arange(12).reshape(2, 3, 2)).tobytes("A")
+        let stored: [u8; 12] = [0, 6, 2, 8, 4, 10, 1, 7, 3, 9, 5, 11];
+        let header = header("'|u1'", "(2, 3, 2)").replace("False", "True");
+        let path = archive(folder.path(), &header, &stored);
+        let array = Archive::open(&path).unwrap().read::<i64>("x").unwrap().unwrap();
+        assert_eq!(array, Array { shape: vec![2, 3, 2], values: (0..12).collect() });
+    }
+
+    #[test]
+    fn whole_floats_are_integers_and_others_are_named_with_their_type() {
+        let folder = tempfile::tempdir().unwrap();
+        let read = |descr: &str, bytes: &[u8]| {
+            let path = archive(folder.path(), &header(descr, "(1,)"), bytes);
+            Archive::open(&path).unwrap().read::<i64>("x").map(|array| array.unwrap().values[0])
+        };
+        assert_eq!(read("'<f4'", &3f32.to_le_bytes()).unwrap(), 3);
+        assert_eq!(read("'>f8'", &(-2f64).to_be_bytes()).unwrap(), -2);
+        for (number, found) in [(0.5, "0.5"), (f64::NAN, "NaN"), (1e19, "10000000000000000000")] {
+            let message = read("'<f8'", &number.to_le_bytes()).unwrap_err().to_string();
+            let expected =
+                format!("x.npz: x: found {found} (dtype <f8), expected an integer of 64 bits");
+            assert!(message.ends_with(&expected), "{message}");
+        }
+    }
+
+    #[test]
     fn unusable_arrays_are_rejected_with_name_and_reason() {
         let folder = tempfile::tempdir().unwrap();
         let four = [0; 4];
-        let fortran = header("'<f4'", "(1, 1)").replace("False", "True");
-        let cases: [(&str, &[u8], &str); 7] = [
+        let cases: [(&str, &[u8], &str); 8] = [
             (&header("'|O'", "(1,)"), b"cos\nsystem\n", "object arrays are pickles"),
             (&header("[('a', '|O')]", "(1,)"), b"", "object arrays are pickles"),
-            (&header("'<U4'", "(1,)"), &[0; 16], "expected an array of numbers"),
+            (&header("'<U4'", "(1,)"), &[0; 16], "found dtype '<U4', expected an array of numbers"),
+            (&header("'<f2'", "(1,)"), &[0; 2], "found dtype '<f2', expected an array of numbers"),
             (&header("'<f4'", "(2,)"), &four, "found 4 bytes of numbers, expected 8"),
             (&header("'<f4'", "(0,)"), &four, "found 4 bytes after the numbers"),
-            (&fortran, &four, "found Fortran order, expected C order"),
+            (&header("'<f4'", "(1152921504606846975,)"), &four, "that are free"),
             (
                 &header("'<f8'", "(9223372036854775807, 9)"),
                 &four,

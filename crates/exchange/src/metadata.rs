@@ -1,9 +1,10 @@
 //! `metadata.json` of learned simulators: GNS (`learning_to_simulate`, `gns`) and LagrangeBench
 //! (`data_gen/lagrangebench_data/gen_dataset.py`). Each ignores the keys of the other.
 
-use std::{fs, path::Path};
+use std::{fmt, fs, path::Path};
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::{error::ExchangeError, streams::Track};
 use eddy_frames::{Domain, Frame, decimal};
@@ -50,9 +51,9 @@ pub(super) struct Metadata {
 }
 
 /// Contents needed to read positions.
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq)]
 pub(super) struct Scale {
-    pub(super) dt: f32,
+    dt: f32,
     /// `[axis][lower, upper]`.
     bounds: Vec<[f32; 2]>,
     write_every: Option<f32>,
@@ -117,12 +118,31 @@ impl Scale {
             return Ok(None);
         }
         let text = fs::read_to_string(&path).map_err(ExchangeError::io(&path, "reading"))?;
-        let scale = serde_json::from_str(&text).map_err(|error| ExchangeError::File {
-            path,
-            found: error.to_string(),
-            expected: "dt and bounds [[left, right], [bottom, top]]",
+        Self::parse(&path, &text).map(Some)
+    }
+
+    /// Reads the text of `metadata.json`. GNS has one form for training and rollouts, or one for each; positions have one scale.
+    fn parse(path: &Path, text: &str) -> Result<Self, ExchangeError> {
+        let whole: Value = serde_json::from_str(text).map_err(|error| ExchangeError::File {
+            path: path.into(),
+            found: format!("no JSON ({error})"),
+            expected: "an object with dt and bounds",
         })?;
-        Ok(Some(scale))
+        let fields = Fields { path, place: String::new(), fields: &whole };
+        let parts = ["train", "rollout"].map(|part| fields.part(part));
+        let is_flat = whole.get("dt").is_some() || parts.iter().all(Option::is_none);
+        if is_flat {
+            return fields.scale();
+        }
+        let scales = parts.iter().flatten().map(|part| Ok((part, part.scale()?)));
+        let scales: Vec<_> = scales.collect::<Result<_, ExchangeError>>()?;
+        if let [(_, train), (part, rollout)] = &scales[..]
+            && train != rollout
+        {
+            let expected = format!("{train} as in train; --dt and --domain replace both");
+            return Err(part.fault("dt, bounds", rollout.to_string(), &expected));
+        }
+        scales.into_iter().next().map_or_else(|| fields.scale(), |(_, scale)| Ok(scale))
     }
 
     /// Time between two frames (s).
@@ -136,6 +156,59 @@ impl Scale {
             &[x, y] => Some(Domain { lower: [x[0], y[0]], upper: [x[1], y[1]] }),
             _ => None,
         }
+    }
+}
+
+impl fmt::Display for Scale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sides = self.bounds.iter().map(|[lower, upper]| format!("{lower} to {upper}"));
+        write!(f, "{} s, {}", self.interval(), sides.collect::<Vec<_>>().join(" x "))
+    }
+}
+
+/// An object of `metadata.json`.
+struct Fields<'a> {
+    path: &'a Path,
+    /// Where it is, with a point at the end.
+    place: String,
+    fields: &'a Value,
+}
+
+impl Fields<'_> {
+    /// The object of this name in it.
+    fn part(&self, name: &str) -> Option<Self> {
+        let fields = self.fields.get(name).filter(|part| part.is_object())?;
+        Some(Self { path: self.path, place: format!("{}{name}.", self.place), fields })
+    }
+
+    fn fault(&self, field: &str, found: impl Into<String>, expected: &str) -> ExchangeError {
+        ExchangeError::Array {
+            path: self.path.into(),
+            array: format!("{}{field}", self.place),
+            found: found.into(),
+            expected: expected.into(),
+        }
+    }
+
+    /// A positive number, if it is there.
+    fn number(&self, field: &str) -> Result<Option<f32>, ExchangeError> {
+        let Some(found) = self.fields.get(field).filter(|value| !value.is_null()) else {
+            return Ok(None);
+        };
+        let number = found.as_f64().map(|number| number as f32);
+        let number = number.filter(|number| number.is_finite() && *number > 0.0);
+        number.map(Some).ok_or_else(|| self.fault(field, found.to_string(), "a positive number"))
+    }
+
+    fn scale(&self) -> Result<Scale, ExchangeError> {
+        let dt = self.number("dt")?;
+        let dt = dt.ok_or_else(|| self.fault("dt", "nothing", "the seconds between two frames"))?;
+        let expected = "[[left, right], [bottom, top]]";
+        let bounds = self.fields.get("bounds");
+        let found = || bounds.map_or("nothing".to_owned(), Value::to_string);
+        let axes = bounds.and_then(|bounds| <Vec<[f32; 2]>>::deserialize(bounds).ok());
+        let bounds = axes.ok_or_else(|| self.fault("bounds", found(), expected))?;
+        Ok(Scale { dt, bounds, write_every: self.number("write_every")? })
     }
 }
 
@@ -240,6 +313,51 @@ fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn scale(text: &str) -> Result<Scale, String> {
+        Scale::parse("metadata.json".as_ref(), text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_scale_stands_at_the_top_or_for_training_and_rollouts() {
+        let one = r#"{"dt": 0.0025, "bounds": [[0.1, 0.9], [0.1, 0.8]], "sequence_length": 320}"#;
+        let flat = scale(one).unwrap();
+        assert_eq!(flat.interval(), 0.0025);
+        let domain = Domain { lower: [0.1, 0.1], upper: [0.9, 0.8] };
+        assert_eq!(flat.domain(), Some(domain));
+        for nested in [
+            format!(r#"{{"train": {one}, "rollout": {one}}}"#),
+            format!(r#"{{"train": {one}}}"#),
+            format!(r#"{{"rollout": {one}}}"#),
+        ] {
+            assert_eq!(scale(&nested).unwrap(), flat, "{nested}");
+        }
+        let other = one.replace("0.0025", "0.005");
+        let message = scale(&format!(r#"{{"train": {one}, "rollout": {other}}}"#)).unwrap_err();
+        assert_eq!(
+            message,
+            "metadata.json: rollout.dt, bounds: found 0.005 s, 0.1 to 0.9 x 0.1 to 0.8, expected \
+             0.0025 s, 0.1 to 0.9 x 0.1 to 0.8 as in train; --dt and --domain replace both"
+        );
+    }
+
+    #[test]
+    fn a_field_of_the_scale_that_cannot_be_used_is_named() {
+        for (text, expected) in [
+            ("{", "metadata.json: found no JSON ("),
+            ("{}", "metadata.json: dt: found nothing, expected the seconds"),
+            (r#"{"dt": [1]}"#, "metadata.json: dt: found [1], expected a positive number"),
+            (r#"{"train": {"dt": -1}}"#, "metadata.json: train.dt: found -1, expected a positive"),
+            (r#"{"dt": 1}"#, "metadata.json: bounds: found nothing, expected [[left,"),
+            (
+                r#"{"dt": 1, "bounds": [0, 1]}"#,
+                "metadata.json: bounds: found [0,1], expected [[left",
+            ),
+        ] {
+            let message = scale(text).unwrap_err();
+            assert!(message.starts_with(expected), "{message}");
+        }
+    }
 
     #[test]
     fn the_radius_on_a_grid_is_that_of_lagrangebench() {
