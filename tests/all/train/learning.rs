@@ -103,12 +103,11 @@ fn a_loss_that_is_no_number_names_its_batch_and_keeps_the_best_and_the_last_chec
 }
 
 #[test]
-fn a_learning_rate_that_is_far_too_large_ends_with_the_batch_named() {
+fn a_loss_that_overflows_ends_with_the_batch_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small(Architecture::Frame, Core::MinLstm);
-    config.optimizer.learning_rate = 1e30;
+    config.loss.position_weight = f32::MAX;
     let message = run(&config, &dataset(), folder.path()).unwrap_err().to_string();
-    // Where the first step after the warm-up of the rate ends.
     assert!(message.starts_with("epoch 1, batch "), "{message}");
     assert!(message.contains("expected a finite number"), "{message}");
 }

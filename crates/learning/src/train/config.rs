@@ -12,6 +12,12 @@ use eddy_inference::checkpoint::{
 const WIDEST_OF_MUON: usize = 120;
 /// Largest width in a checkpoint.
 const LARGEST_WIDTH: usize = 1 << 16;
+/// Most recurrent layers: a deeper core is not trained without residual connections, which there are not.
+const MOST_LAYERS: usize = 64;
+/// Largest learning rate: Adam's steps are about as long, weights are about one.
+const LARGEST_LEARNING_RATE: f64 = 10.0;
+/// Most nodes of the density maps along an axis.
+const LARGEST_DENSITY_GRID: usize = 4096;
 
 /// Settings of a training run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -339,12 +345,12 @@ impl TrainConfig {
     fn check_network(&self) -> Result<(), TrainError> {
         let NetworkConfig { encoder, hidden, layers, dropout, form, ref channels, .. } =
             self.network;
-        let widths =
-            [("network.encoder", encoder), ("network.hidden", hidden), ("network.layers", layers)];
-        for (field, width) in widths {
-            at_least_one(field, width)?;
-            require(field, width, width <= LARGEST_WIDTH, "at most 65536")?;
+        for (field, width) in [("network.encoder", encoder), ("network.hidden", hidden)] {
+            let valid = (1..=LARGEST_WIDTH).contains(&width);
+            require(field, width, valid, "1 to 65536")?;
         }
+        let valid = (1..=MOST_LAYERS).contains(&layers);
+        require("network.layers", layers, valid, "1 to 64")?;
         below_one("network.dropout", dropout)?;
         positive("network.cell_width", self.network.cell_width)?;
         let valid = GridOptions::valid_channels(channels);
@@ -389,15 +395,18 @@ impl LossConfig {
         let field = "loss.position_weight, loss.velocity_weight";
         let valid = self.position_weight + self.velocity_weight > 0.0;
         require(field, "0, 0", valid, "at least one above 0")?;
-        let valid = self.density_weight == 0.0 || self.density_grid >= 2;
-        require("loss.density_grid", self.density_grid, valid, "at least 2")?;
+        let valid =
+            self.density_weight == 0.0 || (2..=LARGEST_DENSITY_GRID).contains(&self.density_grid);
+        require("loss.density_grid", self.density_grid, valid, "2 to 4096")?;
         share("loss.common_share", self.common_share)
     }
 }
 
 impl OptimizerConfig {
     fn check(&self) -> Result<(), TrainError> {
-        positive("optimizer.learning_rate", self.learning_rate)?;
+        let rate = self.learning_rate;
+        let valid = rate > 0.0 && rate <= LARGEST_LEARNING_RATE;
+        require("optimizer.learning_rate", rate, valid, "above 0, at most 10")?;
         share("optimizer.final_share", self.final_share)?;
         below_one("optimizer.warm_up", self.warm_up)?;
         below_one("optimizer.average", self.average)?;

@@ -93,6 +93,9 @@ fn batch_numbers(
         }
     };
     let window = 2 * 4 * particles; // truth and weights of x, y, vx, vy
+    // Of truth and prediction: a map, and the two factors of which it is the product.
+    let grid = config.loss.density_grid;
+    let maps = if config.loss.density_weight > 0.0 { 2 * grid * (grid + 2 * particles) } else { 0 };
     let computed = 2 * (particles * of_particle + of_window);
-    batch.saturating_mul(frames).saturating_mul(window + computed)
+    batch.saturating_mul(frames).saturating_mul(window + computed + maps)
 }
