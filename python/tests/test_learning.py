@@ -118,7 +118,7 @@ def test_ctrl_c_ends_a_run_and_keeps_its_epochs(tmp_path: Path, bags: Path) -> N
     ("config", "message"),
     [
         ({"epoch": 3}, "unknown field `epoch`"),
-        ({"epochs": "many"}, "invalid type"),
+        ({"epochs": "many"}, "expected a whole number"),
         ({"epochs": 0}, "epochs: found 0"),
     ],
 )

@@ -1,5 +1,5 @@
 //! Typed settings from TOML files. A file holds only what differs from the defaults; unknown keys are rejected. Also
-//! here, for all crates: [`atomic`] writes, suggestions for misspelt names ([`near`]), and wrong [`usage`].
+//! here, for all crates: [`atomic`] writes, suggestions for misspelt names ([`near`]), values of the wrong type ([`types`]), and wrong [`usage`].
 
 use std::{
     fs, io,
@@ -8,6 +8,7 @@ use std::{
 
 pub mod atomic;
 pub mod near;
+pub mod types;
 pub mod usage;
 
 use serde::{Serialize, de::DeserializeOwned};
@@ -62,7 +63,7 @@ pub fn parse<T: DeserializeOwned>(file: &Path, text: &str) -> Result<T, ConfigEr
     table(file, text)?;
     toml::from_str(text).map_err(|error| ConfigError::Key {
         file: file.to_owned(),
-        reason: near::in_toml(error.to_string().trim_end()),
+        reason: near::in_toml(&types::in_words(error.to_string().trim_end())),
     })
 }
 
@@ -128,7 +129,7 @@ impl Overrides {
     fn key_error(&self, error: &toml::de::Error, key: &str) -> ConfigError {
         let separator = if key.is_empty() { "" } else { ": " };
         let reason = format!("{key}{separator}{}", error.to_string().trim_end().replace('\n', " "));
-        let reason = near::in_toml(&reason);
+        let reason = near::in_toml(&types::in_words(&reason));
         ConfigError::Key { file: self.file.clone(), reason }
     }
 }
@@ -199,6 +200,6 @@ mod tests {
     #[test]
     fn a_value_of_the_wrong_type_is_rejected() {
         let message = over("epochs = \"many\"").unwrap_err();
-        assert!(message.contains("invalid type: string \"many\", expected u32"), "{message}");
+        assert!(message.contains("found \"many\", expected a whole number from 0"), "{message}");
     }
 }
