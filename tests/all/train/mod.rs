@@ -82,6 +82,7 @@ pub fn dataset() -> Dataset {
         },
         spacing: 0.02,
         digest: "analytic".to_owned(),
+        skipped: Vec::new(),
     }
 }
 

@@ -405,6 +405,7 @@ mod tests {
             normalization,
             spacing: 0.1,
             digest: "streams of a test".to_owned(),
+            skipped: Vec::new(),
         };
         let mut config = DenseConfig::paper(2, 12);
         (config.width, config.batch) = (13, 4);

@@ -50,6 +50,7 @@ fn dataset() -> Dataset {
         normalization: cuda_tests::description(&config()).normalization,
         spacing: 0.1,
         digest: "streams of a test".to_owned(),
+        skipped: Vec::new(),
     }
 }
 
