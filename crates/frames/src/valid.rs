@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Domain, FrameView, Particles, Stamp};
+use super::{Domain, FrameView, Particles, Stamp, decimal};
 
 /// Largest accepted distance of a particle from any wall of its domain (widths or heights of the domain). Solvers leave a
 /// few particles slightly outside.
@@ -139,6 +139,9 @@ impl FrameView<'_> {
             let particle = motions().position(|(_, velocity)| is_fast(velocity));
             let particle = particle.unwrap_or_default();
             let found = particles.motion(particle).1;
+            // As it is printed: 125, not 124.99999.
+            let most = extent
+                .map(|extent| (f64::from(MAX_CROSSINGS) * decimal(extent) / decimal(dt)) as f32);
             return Err(InvalidFrame::Fast { particle, found, most, dt });
         }
         Ok(())
