@@ -61,7 +61,7 @@ pub enum BagError {
         message: u64,
         /// Stream id and sequence number, unless the message is too short for them.
         place: Option<(u64, u64)>,
-        reason: BadFrame,
+        reason: Box<BadFrame>,
     },
     /// MCAP's times are unsigned; `field` is `log_time` or `publish_time`.
     #[error("{path}: topic {topic}: {field}: found {found} ns, expected 0 or later", path = .path.display())]

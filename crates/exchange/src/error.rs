@@ -63,7 +63,7 @@ pub enum ExchangeError {
     Pickle { path: PathBuf, array: String },
     /// A frame of a file cannot be used.
     #[error(transparent)]
-    Frame(UnusableFrame),
+    Frame(Box<UnusableFrame>),
     /// This program was built without HDF5.
     #[error(
         "hdf5: this program was built without HDF5; build it with `--features hdf5` (needs the \

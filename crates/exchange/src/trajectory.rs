@@ -204,7 +204,7 @@ impl RawTrajectory {
             let usable = frame.and_then(|frame| frame.check_plausible().map(|()| frame));
             each(usable.map_err(|reason| {
                 let (path, reason) = (self.path.clone(), reason.into());
-                ExchangeError::Frame(UnusableFrame { path, stream, sequence, reason })
+                ExchangeError::Frame(Box::new(UnusableFrame { path, stream, sequence, reason }))
             })?)?;
         }
         Ok(())

@@ -272,7 +272,7 @@ impl Iterator for Frames {
             topic: self.topic.clone(),
             message,
             place: place_of_frame(&data),
-            reason,
+            reason: Box::new(reason),
         }))
     }
 }

@@ -140,7 +140,7 @@ pub(super) fn load(
     if let Some(first) = skipped.first()
         && !skip_streams
     {
-        return Err(DatasetError::Unusable(first.clone()));
+        return Err(DatasetError::Unusable(Box::new(first.clone())));
     }
     let is_skipped = |Stream { source, id, .. }: &Stream| {
         skipped.iter().any(|other| other.stream == *id && other.path == *source)
@@ -149,7 +149,7 @@ pub(super) fn load(
     if partials.is_empty()
         && let Some(first) = skipped.first()
     {
-        return Err(DatasetError::Unusable(first.clone()));
+        return Err(DatasetError::Unusable(Box::new(first.clone())));
     }
     for PartialStream { stream, location, .. } in &mut partials {
         stream.stiffness = stiffnesses.of(location.bag, &stream.source, stream.id);
@@ -298,7 +298,7 @@ fn usable(
             Err(reason) => (frame.stream, frame.sequence, reason.into()),
         },
         Err(BagError::Frame { place: Some((stream, sequence)), reason, .. }) => {
-            (stream, sequence, reason)
+            (stream, sequence, *reason)
         }
         Err(error) => return Err(error),
     };

@@ -122,7 +122,7 @@ pub enum DatasetError {
     },
     /// A frame is invalid, implausible, or of another setup than the others.
     #[error(transparent)]
-    Unusable(UnusableFrame),
+    Unusable(Box<UnusableFrame>),
     /// The stiffness of a stream is not known.
     #[error(
         "{}: stream {stream}: stiffness: found nothing, expected {STIFFNESS} in custom_data of metadata.yaml, or manifest.json of `eddy simulate` with this scene beside the bag",
