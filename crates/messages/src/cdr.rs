@@ -8,7 +8,7 @@ use serde::{Serialize, de::DeserializeOwned};
 pub const HEADER: [u8; 4] = [0, 1, 0, 0];
 
 /// Padding that CDR may append to reach a multiple of 4 bytes.
-const MAX_PADDING: usize = 3;
+pub(crate) const MAX_PADDING: usize = 3;
 
 /// Why encoding cannot fail.
 const REPRESENTABLE: &str =

@@ -3,7 +3,10 @@
 use hiroz_schema::{FieldTypeDescription, TypeDescription, TypeId};
 use serde::{Serialize, Serializer, ser::SerializeMap as _};
 
-use super::{TypeSupport, cdr::HEADER};
+use super::{
+    TypeSupport,
+    cdr::{HEADER, MAX_PADDING},
+};
 
 /// A value of a message.
 #[derive(Clone, Debug, PartialEq)]
@@ -293,35 +296,111 @@ fn unsupported(path: &str, element: u8) -> InvalidValue {
     InvalidValue { path: path.to_owned(), found, expected }
 }
 
-/// The value of a message of CDR bytes with their header.
+/// The value of a message of CDR bytes with their header, of either byte order.
 ///
 /// # Errors
 /// [`InvalidValue`] where the bytes are no message of this type.
 pub fn decode(support: &TypeSupport, bytes: &[u8]) -> Result<Value, InvalidValue> {
-    let body = bytes.strip_prefix(&HEADER).ok_or_else(|| InvalidValue {
-        path: support.name.clone(),
-        found: "other bytes".to_owned(),
-        expected: "plain little-endian CDR (00 01 00 00)".to_owned(),
-    })?;
-    Decoder { support, body, at: 0 }.message(&support.name, &support.name)
+    Decoder::new(support, bytes, true)?.all()
+}
+
+/// Checks that [`decode`] has no error, without the memory for the value.
+///
+/// # Errors
+/// Those of [`decode`].
+pub fn check(support: &TypeSupport, bytes: &[u8]) -> Result<(), InvalidValue> {
+    Decoder::new(support, bytes, false)?.all().map(drop)
+}
+
+/// Whether messages of this type can be decoded: wide strings and characters cannot, for which middlewares have several encodings.
+pub fn is_decodable(support: &TypeSupport) -> bool {
+    let description = &support.description;
+    let all = description.referenced_type_descriptions.iter();
+    let mut all = all.chain([&description.type_description]);
+    all.all(|of| {
+        let mut elements = of.fields.iter().map(|field| element_of(&field.field_type).0);
+        elements.all(|element| element == TypeId::NESTED_TYPE || is_decoded(element))
+    })
+}
+
+fn is_decoded(element: u8) -> bool {
+    size_of(element).is_some() || matches!(element, TypeId::STRING | TypeId::BOUNDED_STRING)
+}
+
+/// Bytes of a primitive type; `None` for others.
+fn size_of(element: u8) -> Option<usize> {
+    Some(match element {
+        TypeId::BOOL | TypeId::INT8 | TypeId::UINT8 | TypeId::BYTE => 1,
+        TypeId::INT16 | TypeId::UINT16 => 2,
+        TypeId::INT32 | TypeId::UINT32 | TypeId::FLOAT32 => 4,
+        TypeId::INT64 | TypeId::UINT64 | TypeId::FLOAT64 => 8,
+        _ => return None,
+    })
 }
 
 struct Decoder<'t> {
     support: &'t TypeSupport,
     body: &'t [u8],
     at: usize,
+    is_little: bool,
+    /// Whether the value is wanted; else its lists and maps stay empty.
+    keeps: bool,
 }
 
-impl Decoder<'_> {
+/// Reads a number of the decoder's byte order.
+macro_rules! number {
+    ($decoder:expr, $path:expr, $type:ty) => {{
+        let bytes = $decoder.take($path)?;
+        if $decoder.is_little {
+            <$type>::from_le_bytes(bytes)
+        } else {
+            <$type>::from_be_bytes(bytes)
+        }
+    }};
+}
+
+impl<'t> Decoder<'t> {
+    fn new(support: &'t TypeSupport, bytes: &'t [u8], keeps: bool) -> Result<Self, InvalidValue> {
+        let is_little = match bytes {
+            [0, 1, _, _, ..] => true,
+            [0, 0, _, _, ..] => false,
+            _ => {
+                return Err(InvalidValue {
+                    path: format!("{}: CDR header", support.name),
+                    found: format!("{:02x?}", &bytes[..bytes.len().min(HEADER.len())]),
+                    expected: "[00, 01, 00, 00] (plain CDR, little-endian) or [00, 00, 00, 00] (big-endian)".to_owned(),
+                });
+            }
+        };
+        Ok(Self { support, body: &bytes[HEADER.len()..], at: 0, is_little, keeps })
+    }
+
+    /// The whole message.
+    fn all(mut self) -> Result<Value, InvalidValue> {
+        let name = &self.support.name;
+        let value = self.message(name, name)?;
+        if self.body.len() > self.at + MAX_PADDING {
+            return Err(InvalidValue {
+                path: name.clone(),
+                found: format!("a message of {} bytes", self.body.len() + HEADER.len()),
+                expected: format!("one of {}", self.at + HEADER.len()),
+            });
+        }
+        Ok(value)
+    }
+
     /// The next primitive, aligned to its own length.
     fn take<const N: usize>(&mut self, path: &str) -> Result<[u8; N], InvalidValue> {
-        let start = self.at.next_multiple_of(N);
-        self.at = start;
+        self.align(N);
         self.bytes(N, path).map(|bytes| {
             let mut taken = [0; N];
             taken.copy_from_slice(bytes);
             taken
         })
+    }
+
+    fn align(&mut self, to: usize) {
+        self.at = self.at.next_multiple_of(to);
     }
 
     fn bytes(&mut self, count: usize, path: &str) -> Result<&[u8], InvalidValue> {
@@ -338,11 +417,14 @@ impl Decoder<'_> {
 
     fn message(&mut self, name: &str, path: &str) -> Result<Value, InvalidValue> {
         let description = described(self.support, name, path)?;
-        let fields = description.fields.iter().map(|field| {
+        let mut fields = Vec::new();
+        for field in &description.fields {
             let value = self.field(&field.field_type, &format!("{path}: {}", field.name))?;
-            Ok((field.name.clone(), value))
-        });
-        fields.collect::<Result<_, _>>().map(Value::Map)
+            if self.keeps {
+                fields.push((field.name.clone(), value));
+            }
+        }
+        Ok(Value::Map(fields))
     }
 
     fn field(&mut self, kind: &FieldTypeDescription, path: &str) -> Result<Value, InvalidValue> {
@@ -350,13 +432,24 @@ impl Decoder<'_> {
         let length = match count {
             Count::One => return self.element(element, kind, path),
             Count::Array(length) => length,
-            Count::Sequence(_) => u32::from_le_bytes(self.take(path)?).into(),
+            Count::Sequence(_) => number!(self, path, u32).into(),
         };
+        // A message of primitives may be large: an image has a million bytes.
+        if let Some(size) = size_of(element).filter(|_| !self.keeps && length > 0) {
+            self.align(size);
+            let length = usize::try_from(length).unwrap_or(usize::MAX);
+            self.bytes(length.saturating_mul(size), path)?;
+            return Ok(Value::List(Vec::new()));
+        }
         // An element has a byte at least, so that a false length ends with the bytes.
-        (0..length)
-            .map(|_| self.element(element, kind, path))
-            .collect::<Result<_, _>>()
-            .map(Value::List)
+        let mut values = Vec::new();
+        for _ in 0..length {
+            let value = self.element(element, kind, path)?;
+            if self.keeps {
+                values.push(value);
+            }
+        }
+        Ok(Value::List(values))
     }
 
     fn element(
@@ -367,24 +460,24 @@ impl Decoder<'_> {
     ) -> Result<Value, InvalidValue> {
         Ok(match element {
             TypeId::NESTED_TYPE => return self.message(&kind.nested_type_name, path),
-            TypeId::BOOL => Value::Bool(u8::from_le_bytes(self.take(path)?) != 0),
-            TypeId::INT8 => Value::Integer(i8::from_le_bytes(self.take(path)?).into()),
-            TypeId::UINT8 | TypeId::BYTE => {
-                Value::Unsigned(u8::from_le_bytes(self.take(path)?).into())
-            }
-            TypeId::INT16 => Value::Integer(i16::from_le_bytes(self.take(path)?).into()),
-            TypeId::UINT16 => Value::Unsigned(u16::from_le_bytes(self.take(path)?).into()),
-            TypeId::INT32 => Value::Integer(i32::from_le_bytes(self.take(path)?).into()),
-            TypeId::UINT32 => Value::Unsigned(u32::from_le_bytes(self.take(path)?).into()),
-            TypeId::INT64 => Value::Integer(i64::from_le_bytes(self.take(path)?)),
-            TypeId::UINT64 => Value::Unsigned(u64::from_le_bytes(self.take(path)?)),
-            TypeId::FLOAT32 => Value::Single(f32::from_le_bytes(self.take(path)?)),
-            TypeId::FLOAT64 => Value::Double(f64::from_le_bytes(self.take(path)?)),
+            TypeId::BOOL => Value::Bool(number!(self, path, u8) != 0),
+            TypeId::INT8 => Value::Integer(number!(self, path, i8).into()),
+            TypeId::UINT8 | TypeId::BYTE => Value::Unsigned(number!(self, path, u8).into()),
+            TypeId::INT16 => Value::Integer(number!(self, path, i16).into()),
+            TypeId::UINT16 => Value::Unsigned(number!(self, path, u16).into()),
+            TypeId::INT32 => Value::Integer(number!(self, path, i32).into()),
+            TypeId::UINT32 => Value::Unsigned(number!(self, path, u32).into()),
+            TypeId::INT64 => Value::Integer(number!(self, path, i64)),
+            TypeId::UINT64 => Value::Unsigned(number!(self, path, u64)),
+            TypeId::FLOAT32 => Value::Single(number!(self, path, f32)),
+            TypeId::FLOAT64 => Value::Double(number!(self, path, f64)),
             TypeId::STRING | TypeId::BOUNDED_STRING => {
-                let length = u32::from_le_bytes(self.take(path)?) as usize;
+                let length = number!(self, path, u32) as usize;
+                let keeps = self.keeps;
                 let bytes = self.bytes(length, path)?;
                 let text = bytes.strip_suffix(&[0]).unwrap_or(bytes);
-                Value::Text(String::from_utf8_lossy(text).into_owned())
+                let text = if keeps { String::from_utf8_lossy(text) } else { "".into() };
+                Value::Text(text.into_owned())
             }
             other => return Err(unsupported(path, other)),
         })
@@ -489,8 +582,39 @@ mod tests {
         let mut long = empty.clone();
         let at = long.len() - 4;
         long[at..].copy_from_slice(&u32::MAX.to_le_bytes());
-        for bytes in [&long[..], &empty[..9], &[0, 0, 0, 0, 1], &[]] {
-            decode(&support, bytes).unwrap_err();
+        let longer = [&empty[..], &[0; 4]].concat();
+        for bytes in [&long[..], &empty[..9], &[0, 0, 0, 0, 1], &longer, &[]] {
+            let error = decode(&support, bytes).unwrap_err();
+            assert_eq!(check(&support, bytes), Err(error));
+        }
+        // CDR may be padded to a multiple of four bytes.
+        for bytes in [&empty[..], &longer[..longer.len() - 1]] {
+            assert_eq!((decode(&support, bytes).is_ok(), check(&support, bytes)), (true, Ok(())));
+        }
+    }
+
+    #[test]
+    fn both_byte_orders_are_read() {
+        let support = TypeSupport::from_schema("acme/msg/Pair", "int16 a\nfloat32[] b\n").unwrap();
+        let big = [0, 0, 0, 0, 0xff, 0xfe, 0, 0, 0, 0, 0, 1, 0x3f, 0x80, 0, 0];
+        let fields = [
+            ("a".to_owned(), Value::Integer(-2)),
+            ("b".to_owned(), Value::List(vec![Value::Single(1.0)])),
+        ];
+        assert_eq!(decode(&support, &big), Ok(Value::Map(fields.to_vec())));
+        assert_eq!(check(&support, &big), Ok(()));
+        check(&support, &big[..15]).unwrap_err();
+    }
+
+    #[test]
+    fn types_with_wide_strings_are_not_decoded() {
+        for (text, expected) in [
+            ("int8 a\nstring b\nstd_msgs/Header c\n", true),
+            ("wstring a\n", false),
+            ("wstring[<=3] a\n", false),
+        ] {
+            let support = TypeSupport::from_schema("acme/msg/Text", text).unwrap();
+            assert_eq!(is_decodable(&support), expected, "{text}");
         }
     }
 }
