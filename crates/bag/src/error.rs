@@ -32,6 +32,9 @@ pub enum BagError {
     /// The file is not an MCAP file; `found` holds its first bytes, at most eight.
     #[error("{path}: found the first bytes {found:02x?}, expected 89 4d 43 41 50 30 0d 0a (MCAP)", path = .path.display())]
     Magic { path: PathBuf, found: Vec<u8> },
+    /// The file holds the address of the data, as Git LFS leaves it where the data was not fetched.
+    #[error("{path}: found a pointer of Git LFS instead of the data; `git lfs pull` fetches it", path = .path.display())]
+    LfsPointer { path: PathBuf },
     /// The file of `size` bytes is truncated; everything before its end is readable.
     #[error("{path}: found the end of the file at byte {size} after {messages} complete messages, expected {expected}", path = .path.display())]
     Truncated { path: PathBuf, size: u64, messages: u64, expected: String },

@@ -32,6 +32,8 @@ pub struct CopyOptions<'a> {
 pub(crate) struct Recording<A> {
     /// Entries of `custom_data` in `metadata.yaml`; [`LOSSES`] are left out of copies.
     pub(crate) custom_data: CustomData,
+    /// Distribution of ROS that recorded the messages; empty if unknown.
+    pub(crate) distro: String,
     /// Attachments and metadata records.
     pub(crate) auxiliary: A,
 }
@@ -40,14 +42,15 @@ pub(crate) struct Recording<A> {
 pub(crate) fn recording_of(
     bag: &BagReader,
 ) -> Recording<impl Iterator<Item = Result<AuxiliaryRecord, BagError>>> {
-    Recording { custom_data: bag.custom_data().clone(), auxiliary: bag.auxiliary() }
+    let (custom_data, distro) = (bag.custom_data().clone(), bag.distro().to_owned());
+    Recording { custom_data, distro, auxiliary: bag.auxiliary() }
 }
 
 /// Writes a new bag at `output`, which appears when it is complete.
 pub(crate) fn copy<'c>(
     output: &Path,
     channels: impl IntoIterator<Item = &'c Arc<Channel>>,
-    Recording { mut custom_data, auxiliary }: Recording<
+    Recording { mut custom_data, distro, auxiliary }: Recording<
         impl IntoIterator<Item = Result<AuxiliaryRecord, BagError>>,
     >,
     messages: impl Iterator<Item = Result<BagMessage, BagError>>,
@@ -60,6 +63,7 @@ pub(crate) fn copy<'c>(
     custom_data.retain(|key, _| !LOSSES.contains(&key.as_str()));
     custom_data.extend(options.custom_data);
     bag.writer.extend_custom_data(custom_data);
+    bag.writer.set_distro(distro);
     let mut written = Written::default();
     for record in auxiliary {
         let record = record?;

@@ -27,7 +27,10 @@ pub fn merge(
     let channels = bags.iter().flat_map(|bag| bag.channels());
     let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
     let auxiliary = bags.iter().flat_map(BagReader::auxiliary);
-    let recording = Recording { custom_data: common_custom_data(bags), auxiliary };
+    let distro = bags.first().map_or("", BagReader::distro);
+    let is_common = bags.iter().all(|bag| bag.distro() == distro);
+    let distro = if is_common { distro.to_owned() } else { String::new() };
+    let recording = Recording { custom_data: common_custom_data(bags), distro, auxiliary };
     copy(output, channels, recording, Merged { inputs }, options)
 }
 

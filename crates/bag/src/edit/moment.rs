@@ -2,9 +2,10 @@
 
 use std::str::FromStr;
 
-use eddy_frames::Stamp;
+use eddy_frames::{Stamp, date::Utc};
 
-/// A point in time of a bag: `2.5` (seconds after its start) or `1700000000000000000ns` (log time).
+/// A point in time of a bag: `2.5` (seconds after its start), or a log time as `eddy bag info` prints it, `2023-11-14T22:13:20Z` or
+/// `1700000000.25` (seconds since the Unix epoch, from a year on), or `1700000000250000000ns`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BagTime {
     /// Time after the first message (s).
@@ -16,7 +17,7 @@ pub enum BagTime {
 /// A text that is not a [`BagTime`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "time: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 1700000000000000000ns"
+    "time: found `{found}`, expected seconds from the start, such as 2.5, or a log time, such as 2023-11-14T22:13:20Z, 1700000000.25 or 1700000000250000000ns"
 )]
 pub struct InvalidBagTime {
     /// The text.
@@ -42,10 +43,28 @@ impl FromStr for BagTime {
             let time = nanoseconds.parse().ok().filter(|&time: &i64| time >= 0);
             return time.map(|time| Self::At(Stamp(time))).ok_or_else(invalid);
         }
+        if let Some(date) = Utc::parse(text) {
+            return Ok(Self::At(date));
+        }
         let seconds =
             text.parse().ok().filter(|seconds: &f64| seconds.is_finite() && *seconds >= 0.0);
-        seconds.map(Self::After).ok_or_else(invalid)
+        match seconds {
+            // No bag is as long.
+            Some(seconds) if seconds >= YEAR => since_epoch(text).map(Self::At),
+            seconds => seconds.map(Self::After),
+        }
+        .ok_or_else(invalid)
     }
+}
+
+/// Seconds of a year.
+const YEAR: f64 = 365.25 * 86_400.0;
+
+/// Seconds since the epoch to the nanosecond, which a floating-point number would round.
+fn since_epoch(text: &str) -> Option<Stamp> {
+    let (seconds, fraction) = text.split_once('.').unwrap_or((text, ""));
+    let fraction: i64 = format!("{fraction:0<9}").get(..9)?.parse().ok()?;
+    Some(Stamp(seconds.parse::<i64>().ok()?.checked_mul(1_000_000_000)?.checked_add(fraction)?))
 }
 
 #[cfg(test)]
@@ -61,8 +80,23 @@ mod tests {
     }
 
     #[test]
+    fn times_are_read_as_info_prints_them() {
+        let at = |text: &str| text.parse::<BagTime>().unwrap().in_bag(Stamp(1_000));
+        for (text, expected) in [
+            ("2023-11-14T22:13:20Z", 1_700_000_000_000_000_000),
+            ("1700000000.000000057", 1_700_000_000_000_000_057),
+            ("1700000000", 1_700_000_000_000_000_000),
+            ("1700000000.25", 1_700_000_000_250_000_000),
+        ] {
+            assert_eq!(at(text), Stamp(expected), "{text}");
+        }
+    }
+
+    #[test]
     fn other_texts_are_rejected_with_what_was_expected() {
-        for text in ["", "-1", "soon", "1e999", "-5ns", "2.5ns"] {
+        for text in
+            ["", "-1", "soon", "1e999", "-5ns", "2.5ns", "2023-02-30T00:00:00Z", "99999999999"]
+        {
             let message = text.parse::<BagTime>().unwrap_err().to_string();
             assert!(message.starts_with(&format!("time: found `{text}`, expected")), "{message}");
         }

@@ -67,6 +67,26 @@ impl Channel {
         self.metadata.get(TYPE_HASH).map(String::as_str).filter(|hash| !hash.is_empty())
     }
 
+    /// Whether its type is the same version of the type as that of another channel: by their type hashes, else by their
+    /// definitions; also where nothing is known of one of them.
+    pub(crate) fn is_same_version(&self, other: &Self) -> bool {
+        if let (Some(hash), Some(other)) = (self.type_hash(), other.type_hash()) {
+            return hash == other;
+        }
+        let (definition, of_other) = (self.definition(), other.definition());
+        let computed = |channel: &Self, definition: &str| {
+            let is_msg = channel.definition_encoding() == ROS2MSG;
+            let defined =
+                is_msg.then(|| TypeSupport::from_schema(self.type_name(), definition).ok());
+            let hash = channel.type_hash().map(str::to_owned);
+            hash.or_else(|| defined.flatten().map(|defined| defined.hash))
+        };
+        definition == of_other
+            || computed(self, &definition)
+                .zip(computed(other, &of_other))
+                .map_or(definition.is_empty() || of_other.is_empty(), |(hash, other)| hash == other)
+    }
+
     /// The definition of the type as text; empty if unknown.
     pub(crate) fn definition(&self) -> String {
         let data = self.schema.as_ref().map_or(&[][..], |schema| &schema.data);

@@ -1,11 +1,14 @@
 //! The files of a bag, and where bags are found.
 
-use std::path::{Path, PathBuf};
+use std::{
+    ffi::OsStr,
+    path::{Path, PathBuf},
+};
 
 use eddy_storage::{Entry, Kind};
 
 use super::{
-    custom_data::CustomData,
+    description::Description,
     metadata::{self, exists},
 };
 use crate::error::BagError;
@@ -41,20 +44,24 @@ pub(crate) fn is_active(path: &Path) -> bool {
     path.to_string_lossy().ends_with(ACTIVE)
 }
 
-/// The MCAP files of the bag at `path`, and its `custom_data`: those of `metadata.yaml`, or all files in the directory of
-/// an unfinished bag, or the file itself, and no `custom_data`.
-pub(crate) fn files_of(path: &Path) -> Result<(Vec<PathBuf>, CustomData), BagError> {
+/// The MCAP files of the bag at `path`, and what `metadata.yaml` says of them: those that it lists, or without one all files in the
+/// directory of an unfinished bag, or the file itself.
+pub(crate) fn files_of(path: &Path) -> Result<(Vec<PathBuf>, Option<Description>), BagError> {
     let not_a_bag = |found: &str| BagError::NotABag { path: path.into(), found: found.into() };
     if kind(path, "opening the bag")? == Kind::File {
         return if is_mcap(path) {
-            Ok((vec![path.into()], CustomData::new()))
+            Ok((vec![path.into()], None))
         } else {
-            Err(not_a_bag("a file of another kind"))
+            Err(not_a_bag(match path.extension().and_then(OsStr::to_str) {
+                Some("zstd" | "zst") => "a compressed file, which `zstd -d` decompresses",
+                _ => "a file of another kind",
+            }))
         };
     }
     let description = path.join(metadata::FILE_NAME);
     if exists(&description)? {
-        return metadata::files(&description, path);
+        let (files, description) = metadata::files(&description, path)?;
+        return Ok((files, Some(description)));
     }
     let Children { files, directories, .. } = children(path)?;
     if files.is_empty() {
@@ -67,7 +74,7 @@ pub(crate) fn files_of(path: &Path) -> Result<(Vec<PathBuf>, CustomData), BagErr
         }
         return Err(not_a_bag(found));
     }
-    Ok((files, CustomData::new()))
+    Ok((files, None))
 }
 
 /// The MCAP files at `path` regardless of `metadata.yaml`: all in a directory, or the file itself.

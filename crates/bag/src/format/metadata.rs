@@ -9,6 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     custom_data::CustomData,
+    description::Description,
+    layout::is_mcap,
     qos::{self, YamlProfile},
     summary::BagSummary,
 };
@@ -40,7 +42,7 @@ struct Information<'a> {
     relative_file_paths: Vec<&'a str>,
     files: Vec<FileInformation<'a>>,
     custom_data: Option<&'a BTreeMap<String, String>>,
-    ros_distro: &'static str,
+    ros_distro: &'a str,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -107,7 +109,7 @@ fn text(bag: &BagSummary) -> String {
             relative_file_paths: files.iter().map(|file| file.path).collect(),
             files,
             custom_data: (!bag.custom_data.is_empty()).then_some(&bag.custom_data),
-            ros_distro: "eddy",
+            ros_distro: &bag.distro,
         },
     })
     .expect("structs of numbers and strings with fixed keys are always YAML")
@@ -163,6 +165,7 @@ struct ReadInformation {
     version: u32,
     storage_identifier: String,
     relative_file_paths: Vec<String>,
+    #[expect(dead_code, reason = "required of every version")]
     message_count: u64,
     #[serde(default)]
     compression_mode: String,
@@ -170,7 +173,8 @@ struct ReadInformation {
     custom_data: Option<CustomData>,
 }
 
-fn read(path: &Path) -> Result<ReadInformation, BagError> {
+/// The fields that are needed, and everything that is said of the bag.
+fn read(path: &Path) -> Result<(ReadInformation, Description), BagError> {
     let text =
         eddy_storage::read_to_string(path).map_err(BagError::io(path, "reading the metadata"))?;
     let document: ReadDocument = serde_saphyr::from_str(&text).map_err(|error| {
@@ -181,24 +185,34 @@ fn read(path: &Path) -> Result<ReadInformation, BagError> {
             "the fields that rosbag2 writes",
         )
     })?;
-    Ok(document.rosbag2_bagfile_information)
+    let information = document.rosbag2_bagfile_information;
+    let custom_data = information.custom_data.clone().unwrap_or_default();
+    let description = Description { custom_data, ..Description::parse(&text) };
+    Ok((information, description))
 }
 
 fn wrong(path: &Path, field: &'static str, found: String, expected: &'static str) -> BagError {
     BagError::Metadata { path: path.into(), field, found, expected }
 }
 
-/// The MCAP files in `directory` that `metadata.yaml` at `path` lists, and its `custom_data`.
-pub(crate) fn files(path: &Path, directory: &Path) -> Result<(Vec<PathBuf>, CustomData), BagError> {
-    let information = read(path)?;
+/// The MCAP files in `directory` that `metadata.yaml` at `path` lists, and what else it says.
+pub(crate) fn files(
+    path: &Path,
+    directory: &Path,
+) -> Result<(Vec<PathBuf>, Description), BagError> {
+    let (information, description) = read(path)?;
     if information.version > VERSION {
         return Err(wrong(path, "version", information.version.to_string(), "at most 9"));
     }
-    if information.storage_identifier != "mcap" {
-        return Err(wrong(path, "storage_identifier", information.storage_identifier, "mcap"));
+    let storage = information.storage_identifier.as_str();
+    let are_mcap = || information.relative_file_paths.iter().all(|name| is_mcap(Path::new(name)));
+    // Some versions of rosbag2 write an empty text (rosbag2 #2175).
+    if storage != "mcap" && !(storage.is_empty() && are_mcap()) {
+        return Err(wrong(path, "storage_identifier", format!("`{storage}`"), "mcap"));
     }
     if !matches!(information.compression_mode.to_lowercase().as_str(), "" | "none") {
-        let expected = "an empty string: MCAP compresses its own chunks";
+        let expected =
+            "an empty text; `zstd -d` decompresses the files of FILE mode, then `eddy bag reindex`";
         return Err(wrong(path, "compression_mode", information.compression_mode, expected));
     }
     // Only the file name of each path counts: bags are moved, and older versions wrote longer paths.
@@ -214,7 +228,7 @@ pub(crate) fn files(path: &Path, directory: &Path) -> Result<(Vec<PathBuf>, Cust
     if files.is_empty() {
         return Err(wrong(path, "relative_file_paths", "no file".into(), expected));
     }
-    Ok((files, information.custom_data.unwrap_or_default()))
+    Ok((files, description))
 }
 
 /// Whether there is something at a path.
@@ -222,19 +236,10 @@ pub(super) fn exists(path: &Path) -> Result<bool, BagError> {
     eddy_storage::exists(path).map_err(BagError::io(path, "looking for the file"))
 }
 
-/// `message_count` in the metadata of the bag at `bag`; `None` without `metadata.yaml`.
-pub(crate) fn message_count(bag: &Path) -> Result<Option<u64>, BagError> {
-    let path = bag.join(FILE_NAME);
-    if !exists(&path)? {
-        return Ok(None);
-    }
-    Ok(Some(read(&path)?.message_count))
-}
-
-/// `custom_data` in the metadata of the bag at `bag`, as far as it can be read.
-pub(crate) fn readable_custom_data(bag: &Path) -> CustomData {
-    let information = read(&bag.join(FILE_NAME)).ok();
-    information.and_then(|information| information.custom_data).unwrap_or_default()
+/// What `metadata.yaml` of the bag at `bag` says, as far as it can be read; `None` without one.
+pub(crate) fn readable(bag: &Path) -> Option<Description> {
+    let text = eddy_storage::read_to_string(&bag.join(FILE_NAME)).ok()?;
+    Some(Description::parse(&text))
 }
 
 #[cfg(test)]
@@ -246,7 +251,7 @@ mod tests {
 
     use crate::format::{
         channel::{Channel, OFFERED_QOS},
-        summary::{WrittenFile, WrittenTopic},
+        summary::{OURS, WrittenFile, WrittenTopic},
     };
 
     fn bag() -> BagSummary {
@@ -282,6 +287,7 @@ mod tests {
             end: Some(Stamp(33_000)),
             topics: vec![topic],
             custom_data: BTreeMap::new(),
+            distro: OURS.into(),
         }
     }
 
@@ -355,12 +361,12 @@ mod tests {
             (
                 "_identifier: mcap",
                 "_identifier: sqlite3",
-                "storage_identifier: found sqlite3, expected mcap",
+                "storage_identifier: found `sqlite3`, expected mcap",
             ),
             (
                 "compression_mode: \"\"",
                 "compression_mode: FILE",
-                "compression_mode: found FILE, expected an empty",
+                "compression_mode: found FILE, expected an empty text; `zstd -d`",
             ),
             (
                 "  - run_0.mcap",

@@ -24,12 +24,15 @@ use Field::{Data, Fixed, Text, Texts};
 /// The fields of the records that are parsed here (MCAP specification, "Records").
 fn fields(opcode: u8) -> &'static [Field] {
     match opcode {
+        op::HEADER => &[Text, Text],
         op::SCHEMA => &[Fixed(2), Text, Text, Text],
         op::CHANNEL => &[Fixed(4), Text, Text, Texts],
         op::MESSAGE => &[Fixed(22)],
         op::MESSAGE_INDEX => &[Fixed(2), Text],
         op::CHUNK_INDEX => &[Fixed(32), Text, Fixed(8), Text, Fixed(16)],
         op::ATTACHMENT => &[Fixed(16), Text, Text, Data, Fixed(4)],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Text, Text],
+        op::METADATA_INDEX => &[Fixed(16), Text],
         op::STATISTICS => &[Fixed(42), Text],
         op::METADATA => &[Text, Texts],
         _ => &[],

@@ -130,6 +130,11 @@ impl YamlProfile {
 /// The value of `offered_qos_profiles`.
 pub(crate) fn offered_profiles(offered: &[QosProfile]) -> String {
     let profiles: Vec<_> = offered.iter().map(YamlProfile::of).collect();
+    text(&profiles)
+}
+
+/// The text of a list of profiles.
+pub(crate) fn text(profiles: &[YamlProfile]) -> String {
     serde_saphyr::to_string(&profiles)
         .expect("structs of numbers and strings with fixed keys are always YAML")
 }

@@ -72,7 +72,12 @@ pub struct BagSummary {
     pub topics: Vec<WrittenTopic>,
     /// `custom_data` of `metadata.yaml`.
     pub custom_data: BTreeMap<String, String>,
+    /// Distribution of ROS that the messages were recorded with, or `eddy`; empty if unknown.
+    pub distro: String,
 }
+
+/// `ros_distro` of the bags that eddy records.
+pub(crate) const OURS: &str = "eddy";
 
 impl BagSummary {
     /// A bag of these files and topics; message count and times follow from the files.
@@ -81,6 +86,7 @@ impl BagSummary {
         files: Vec<WrittenFile>,
         topics: Vec<WrittenTopic>,
         custom_data: BTreeMap<String, String>,
+        distro: String,
     ) -> Self {
         Self {
             directory,
@@ -91,6 +97,7 @@ impl BagSummary {
             files,
             topics,
             custom_data,
+            distro,
         }
     }
 }

@@ -8,17 +8,20 @@ use std::{
 use eddy_storage::File;
 use mcap::{
     Attachment,
-    records::{AttachmentIndex, Metadata, MetadataIndex, Record},
+    records::{AttachmentIndex, Metadata, MetadataIndex, Record, op},
 };
 
 use super::{
     block::{describe, read_error},
     records::{RecordHeader, SIZE_LIMIT},
 };
-use crate::{error::BagError, format::parse};
-
-/// The metadata record in which rosbag2 repeats `metadata.yaml`: a description of the file it is in.
-const ROSBAG2: &str = "rosbag2";
+use crate::{
+    error::BagError,
+    format::{
+        description::{self, Description},
+        parse,
+    },
+};
 
 /// An attachment or a metadata record.
 #[derive(Debug)]
@@ -64,7 +67,7 @@ impl AuxiliaryRecord {
 
     /// Whether it describes the recording rather than the file it is in, and should be copied with the bag.
     pub(crate) fn describes_recording(&self) -> bool {
-        !matches!(self, Self::Metadata(metadata) if metadata.name == ROSBAG2)
+        !matches!(self, Self::Metadata(metadata) if metadata.name == description::RECORD)
     }
 
     /// Its index record for the summary section.
@@ -85,6 +88,31 @@ impl AuxiliaryRecord {
             }
         }
     }
+}
+
+/// Longest metadata record of rosbag2 that is read (bytes).
+const DESCRIPTION_LIMIT: u64 = 16 << 20;
+
+/// What the metadata records of rosbag2 say of the recording, the last one first: rosbag2 appends a new one for each change.
+pub(super) fn description(file: &File, records: &[RecordHeader]) -> Description {
+    let name_length = description::RECORD.len();
+    let start = [&(name_length as u32).to_le_bytes()[..], description::RECORD.as_bytes()].concat();
+    let mut found = Description::default();
+    for header in records.iter().rev().filter(|header| header.opcode == op::METADATA) {
+        if !(start.len() as u64..DESCRIPTION_LIMIT).contains(&header.length) {
+            continue;
+        }
+        let is_description = |file: &File| file.read(header.body(), start.len() as u64);
+        // What cannot be read says nothing here; copying it is an error.
+        if is_description(file).is_ok_and(|name| name == start)
+            && let Ok(body) = file.read(header.body(), header.length)
+            && let Ok(AuxiliaryRecord::Metadata(metadata)) =
+                AuxiliaryRecord::parse(header.opcode, &body)
+        {
+            found = found.or(&Description::of_record(&metadata.metadata));
+        }
+    }
+    found
 }
 
 /// Index record of an attachment or a metadata record.

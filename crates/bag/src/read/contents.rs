@@ -1,17 +1,17 @@
 //! The files and topics of an open bag.
 
 use std::{
-    collections::{BTreeMap, HashSet},
+    collections::{BTreeMap, HashMap, HashSet},
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-use super::index::FileIndex;
+use super::index::{ChannelKey, FileIndex};
 use crate::{
     error::BagError,
     format::{
         channel::{Channel, ROS2MSG},
-        custom_data::CustomData,
+        description::{Description, described},
     },
 };
 use eddy_messages::{InvalidDefinition, QosProfile, TypeSupport};
@@ -69,49 +69,111 @@ pub(super) struct Contents {
     pub(super) topics: Vec<TopicInfo>,
     /// For each topic.
     pub(super) names: Vec<TopicNames>,
-    /// For each file, by channel id. Equal channels of several files are shared.
-    pub(super) channels: Vec<BTreeMap<u16, FileChannel>>,
+    /// For each file, by channel. Equal channels of several files are shared.
+    pub(super) channels: Vec<BTreeMap<ChannelKey, FileChannel>>,
     /// Each channel once, in the order of the files and of the channel ids.
     pub(super) distinct: Vec<Arc<Channel>>,
-    /// `custom_data` of `metadata.yaml`.
-    pub(super) custom_data: CustomData,
+    /// For each of them, the index of its topic.
+    pub(super) topic_of: Vec<usize>,
+    /// What `metadata.yaml` says; `None` without one.
+    pub(super) in_yaml: Option<Description>,
+    /// What the files say in the metadata record of rosbag2.
+    pub(super) in_files: Description,
+    /// Both, of which `metadata.yaml` counts first.
+    pub(super) described: Description,
 }
 
 impl Contents {
-    /// The files, in this order, as the bag `path`.
-    pub(super) fn new(path: &Path, files: Vec<FileIndex>, custom_data: CustomData) -> Self {
-        let topics = topics(&files);
+    /// The files, in this order, as the bag `path`, which `metadata.yaml` describes as `in_yaml`.
+    pub(super) fn new(path: &Path, files: Vec<FileIndex>, in_yaml: Option<Description>) -> Self {
+        let mut in_files = Description::default();
+        for file in &files {
+            in_files = in_files.or(&file.description);
+        }
+        let described = in_yaml.clone().unwrap_or_default().or(&in_files);
+        let channels = described_channels(&files, in_yaml.as_ref(), &in_files);
         let (mut known, mut distinct) = (HashSet::new(), Vec::new());
-        let channels = files
-            .iter()
-            .map(|file| {
-                let of_file = |(id, channel): (&u16, &Arc<Channel>)| {
-                    let topic = topics.iter().position(|topic| {
-                        topic.name == channel.topic && topic.type_name == channel.type_name()
-                    })?;
-                    if known.insert(Arc::clone(channel)) {
-                        distinct.push(Arc::clone(channel));
+        let channels: Vec<BTreeMap<ChannelKey, Arc<Channel>>> = channels
+            .into_iter()
+            .map(|of_file| {
+                let shared = of_file.into_iter().map(|(key, channel)| {
+                    if known.insert(Arc::clone(&channel)) {
+                        distinct.push(Arc::clone(&channel));
                     }
-                    let channel = Arc::clone(known.get(channel)?);
-                    Some((*id, FileChannel { topic, channel }))
-                };
-                file.channels.iter().filter_map(of_file).collect()
+                    let channel = known.get(&channel).map_or(channel.clone(), Arc::clone);
+                    (key, channel)
+                });
+                shared.collect()
             })
             .collect();
-        let names = topics
-            .iter()
-            .map(|topic| TopicNames {
-                name: topic.name.as_str().into(),
-                type_name: topic.type_name.as_str().into(),
-            })
-            .collect();
-        Self { path: path.into(), files, topics, names, channels, distinct, custom_data }
+        let (mut topics, topic_of) = topics(&distinct);
+        let index_of = |channel: &Arc<Channel>| {
+            let number = distinct.iter().position(|known| Arc::ptr_eq(known, channel));
+            number.map_or(0, |number| topic_of[number])
+        };
+        let channels = files.iter().zip(channels).map(|(file, channels)| {
+            let of_file = channels.into_iter().map(|(key, channel)| {
+                let topic = index_of(&channel);
+                topics[topic].message_count += file.counts.get(&key).copied().unwrap_or_default();
+                (key, FileChannel { topic, channel })
+            });
+            of_file.collect()
+        });
+        let channels: Vec<BTreeMap<ChannelKey, FileChannel>> = channels.collect();
+        let names = topics.iter().map(|topic| TopicNames {
+            name: topic.name.as_str().into(),
+            type_name: topic.type_name.as_str().into(),
+        });
+        let (path, names) = (path.into(), names.collect());
+        Self {
+            path,
+            files,
+            names,
+            topics,
+            channels,
+            distinct,
+            topic_of,
+            in_yaml,
+            in_files,
+            described,
+        }
     }
 
     /// The first damage found when the bag was opened.
     pub(super) fn damage(&self) -> Option<BagError> {
         self.files.iter().flat_map(FileIndex::errors).next()
     }
+}
+
+/// The channels of each file with what the bag says of their topics.
+fn described_channels(
+    files: &[FileIndex],
+    in_yaml: Option<&Description>,
+    in_files: &Description,
+) -> Vec<BTreeMap<ChannelKey, Arc<Channel>>> {
+    let mut of_topics: BTreeMap<(&str, &str), Vec<&Channel>> = BTreeMap::new();
+    for channel in files.iter().flat_map(|file| file.channels.values()) {
+        let of_topic = of_topics.entry((channel.topic.as_str(), channel.type_name())).or_default();
+        if !of_topic.contains(&&**channel) {
+            of_topic.push(channel);
+        }
+    }
+    let mut changed: HashMap<&Channel, Arc<Channel>> = HashMap::new();
+    for ((name, type_name), channels) in of_topics {
+        let in_yaml = in_yaml.and_then(|description| description.topic(name, type_name));
+        let in_files = in_files.topic(name, type_name);
+        if in_yaml.is_some() || in_files.is_some() {
+            let described = described(&channels, in_yaml, in_files).into_iter().map(Arc::new);
+            changed.extend(channels.into_iter().zip(described));
+        }
+    }
+    let of_file = |file: &FileIndex| {
+        let channels = file.channels.iter();
+        let described = channels
+            .map(|(&key, channel)| (key, changed.get(&**channel).unwrap_or(channel).clone()));
+        described.collect()
+    };
+    files.iter().map(of_file).collect()
 }
 
 /// Merges the profiles offered on another channel of a topic. Of equal profiles the larger count is kept, because the files of a split bag
@@ -127,24 +189,31 @@ fn merge_offered(known: &mut Vec<QosProfile>, offered: Vec<QosProfile>) {
     }
 }
 
-/// The topics of all files, sorted by name, then by type.
-fn topics(files: &[FileIndex]) -> Vec<TopicInfo> {
-    let mut topics = BTreeMap::new();
-    for file in files {
-        for (id, channel) in &file.channels {
-            let key = (channel.topic.as_str(), channel.type_name());
-            let topic = topics.entry(key).or_insert_with(|| TopicInfo {
-                name: channel.topic.clone(),
-                type_name: channel.type_name().to_owned(),
-                schema: channel.definition(),
-                schema_encoding: channel.definition_encoding().to_owned(),
-                hash: channel.type_hash().map(str::to_owned),
-                message_count: 0,
-                offered: Vec::new(),
-            });
-            merge_offered(&mut topic.offered, channel.offered());
-            topic.message_count += file.counts.get(id).copied().unwrap_or_default();
-        }
+/// The topics of all channels, sorted by name, then by type, without their messages, and the topic of each channel.
+fn topics(channels: &[Arc<Channel>]) -> (Vec<TopicInfo>, Vec<usize>) {
+    let mut found: BTreeMap<(&str, &str), Vec<usize>> = BTreeMap::new();
+    for (number, channel) in channels.iter().enumerate() {
+        found.entry((channel.topic.as_str(), channel.type_name())).or_default().push(number);
     }
-    topics.into_values().collect()
+    let (mut topics, mut topic_of) = (Vec::new(), vec![0; channels.len()]);
+    for ((name, type_name), numbers) in found {
+        let of_topic = || numbers.iter().map(|&number| &channels[number]);
+        let defining = of_topic().find(|channel| !channel.definition_encoding().is_empty());
+        let defining = defining.or_else(|| of_topic().next());
+        let mut offered = Vec::new();
+        of_topic().for_each(|channel| merge_offered(&mut offered, channel.offered()));
+        topics.push(TopicInfo {
+            name: name.to_owned(),
+            type_name: type_name.to_owned(),
+            schema: defining.map(|channel| channel.definition()).unwrap_or_default(),
+            schema_encoding: defining
+                .map_or("", |channel| channel.definition_encoding())
+                .to_owned(),
+            hash: of_topic().find_map(|channel| channel.type_hash()).map(str::to_owned),
+            message_count: 0,
+            offered,
+        });
+        numbers.into_iter().for_each(|number| topic_of[number] = topics.len() - 1);
+    }
+    (topics, topic_of)
 }

@@ -9,13 +9,21 @@ use std::{
 use eddy_storage::File;
 use mcap::{
     MAGIC,
-    records::{self, ChunkIndex, Record, SchemaHeader},
+    records::{self, ChunkIndex, Record, SchemaHeader, op},
 };
 
-use super::{block::Block, error_log::ErrorLog, records::RecordHeader};
+use super::{
+    block::Block,
+    error_log::ErrorLog,
+    records::{HEADER_SIZE, RecordHeader},
+};
 use crate::{
     error::BagError,
-    format::channel::{Channel, Schema},
+    format::{
+        channel::{Channel, Schema},
+        description::Description,
+        parse,
+    },
 };
 
 /// Called with the number of bytes read since the last call; `false` stops the operation.
@@ -49,7 +57,108 @@ impl Damage {
 }
 
 /// Smallest and largest log time (ns).
-pub(super) type Times = (u64, u64);
+pub(crate) type Times = (u64, u64);
+
+/// A channel of a file: its id, or a number beyond all ids for another content that the file declares for an id later on.
+pub(crate) type ChannelKey = u32;
+
+/// Channels and schemas by their ids, as declared in one place of a file.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Declarations {
+    pub(crate) schemas: BTreeMap<u16, Arc<Schema>>,
+    pub(crate) channels: BTreeMap<u16, Arc<Channel>>,
+}
+
+impl Declarations {
+    /// Adds a schema or a channel; ignores other records. Returns the content that its id had before, if that was another one.
+    ///
+    /// # Errors
+    /// The reason why the record is rejected.
+    pub(super) fn declare(&mut self, record: &Record<'_>) -> Result<Option<String>, String> {
+        let replaced = match record {
+            Record::Schema { header: SchemaHeader { id, name, encoding }, data } => {
+                let (name, encoding) = (name.clone(), encoding.clone());
+                let schema = Arc::new(Schema { name, encoding, data: data.to_vec() });
+                let before = self.schemas.insert(*id, Arc::clone(&schema));
+                before.filter(|before| *before != schema).map(|before| {
+                    let (name, id) = (before.name.escape_debug(), id);
+                    format!("schema {id} of type {name}")
+                })
+            }
+            Record::Channel(channel) => {
+                let (id, channel) = (channel.id, Arc::new(self.channel(channel)?));
+                let before = self.channels.insert(id, Arc::clone(&channel));
+                before
+                    .filter(|before| *before != channel)
+                    .map(|before| described_channel(id, &before))
+            }
+            _ => None,
+        };
+        Ok(replaced)
+    }
+
+    /// A channel with its schema.
+    fn channel(&self, channel: &records::Channel) -> Result<Channel, String> {
+        let records::Channel { id, schema_id, topic, message_encoding, metadata } = channel;
+        let schema = match (schema_id, self.schemas.get(schema_id)) {
+            (0, _) => None,
+            (_, Some(schema)) => Some(Arc::clone(schema)),
+            (_, None) => {
+                let topic = topic.escape_debug();
+                return Err(format!(
+                    "channel {id} of topic {topic} with schema {schema_id}, which is not declared"
+                ));
+            }
+        };
+        let (topic, encoding, metadata) =
+            (topic.clone(), message_encoding.clone(), metadata.clone());
+        Ok(Channel { topic, schema, encoding, metadata })
+    }
+
+    /// Checks a schema or a channel against the one with its id, if there is one; ignores other records.
+    ///
+    /// # Errors
+    /// What the record says, and what is known of its id.
+    pub(super) fn check(&self, record: &Record<'_>) -> Result<(), String> {
+        match record {
+            Record::Schema { header: SchemaHeader { id, name, encoding }, data } => {
+                let known = self.schemas.get(id);
+                let differs = known.filter(|known| {
+                    known.name != *name || known.encoding != *encoding || known.data != **data
+                });
+                differs.map_or(Ok(()), |known| {
+                    let (name, known) = (name.escape_debug(), known.name.escape_debug());
+                    Err(format!("schema {id} of type {name}, elsewhere in the file one of {known} with another content"))
+                })
+            }
+            Record::Channel(record) => {
+                let found = self.channel(record)?;
+                let known = self.channels.get(&record.id).filter(|known| ***known != found);
+                known.map_or(Ok(()), |known| {
+                    Err(declared_twice(
+                        &described_channel(record.id, &found),
+                        &described_channel(record.id, known),
+                    ))
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A channel in an error message.
+pub(super) fn described_channel(id: u16, channel: &Channel) -> String {
+    let (topic, of) = (channel.topic.escape_debug(), channel.type_name().escape_debug());
+    format!("channel {id} of topic {topic} ({of})")
+}
+
+/// Two contents of an id, in an error message.
+pub(super) fn declared_twice(found: &str, elsewhere: &str) -> String {
+    format!("{found}, elsewhere in the file {elsewhere} with another content")
+}
+
+/// Bytes in which the header of a file is expected.
+const HEADER_LIMIT: u64 = 256;
 
 /// The index of one file.
 #[derive(Debug)]
@@ -60,20 +169,28 @@ pub(crate) struct FileIndex {
     pub(super) number: usize,
     /// Size of the file (bytes).
     pub(crate) size: u64,
-    pub(crate) schemas: BTreeMap<u16, Arc<Schema>>,
-    pub(crate) channels: BTreeMap<u16, Arc<Channel>>,
+    /// The schemas and channels, of each id the last one.
+    pub(crate) declared: Declarations,
+    /// All channels with messages or without: more than ids where an id was declared with several contents.
+    pub(crate) channels: BTreeMap<ChannelKey, Arc<Channel>>,
     /// Messages of each channel.
-    pub(crate) counts: BTreeMap<u16, u64>,
+    pub(crate) counts: BTreeMap<ChannelKey, u64>,
     /// `None` without messages.
     pub(crate) times: Option<Times>,
     pub(super) blocks: Vec<Block>,
     /// Compressions of the chunks; empty for none.
     pub(super) compressions: BTreeSet<String>,
     pub(super) damage: ErrorLog<Damage>,
-    /// Whether the index was read from the summary section.
+    /// After a scan: what the file says twice, and differently. The messages themselves are what is read.
+    pub(super) contradictions: ErrorLog<Damage>,
+    /// Whether the summary section is usable: complete, and confirmed by the message indexes.
     pub(crate) summarized: bool,
+    /// Whether the index comes from a scan.
+    pub(crate) scanned: bool,
     /// Message count in the statistics record, if there is one.
     pub(crate) declared_messages: Option<u64>,
+    /// What the metadata record of rosbag2 says.
+    pub(crate) description: Description,
     /// The attachments and metadata records.
     pub(crate) auxiliary: Vec<RecordHeader>,
     /// After a scan: end of the last complete record of the data section (bytes).
@@ -90,17 +207,20 @@ pub(super) struct BlockContents {
     /// Start of the block (bytes).
     pub(super) position: u64,
     /// Messages of each channel.
-    pub(super) counts: BTreeMap<u16, u64>,
+    pub(super) counts: BTreeMap<ChannelKey, u64>,
     pub(super) times: Times,
 }
 
 /// The smallest range that includes both.
-pub(super) fn widen(times: Option<Times>, (first, last): Times) -> Times {
+pub(crate) fn widen(times: Option<Times>, (first, last): Times) -> Times {
     times.map_or((first, last), |(before, after)| (before.min(first), after.max(last)))
 }
 
 /// Adds the messages of each channel to `counts`.
-pub(super) fn add_counts(counts: &mut BTreeMap<u16, u64>, added: &BTreeMap<u16, u64>) {
+pub(super) fn add_counts(
+    counts: &mut BTreeMap<ChannelKey, u64>,
+    added: &BTreeMap<ChannelKey, u64>,
+) {
     for (channel, messages) in added {
         *counts.entry(*channel).or_insert(0) += messages;
     }
@@ -114,15 +234,18 @@ impl FileIndex {
             number,
             size: file.size(),
             file,
-            schemas: BTreeMap::new(),
+            declared: Declarations::default(),
             channels: BTreeMap::new(),
             counts: BTreeMap::new(),
             times: None,
             blocks: Vec::new(),
             compressions: BTreeSet::new(),
             damage: ErrorLog::default(),
+            contradictions: ErrorLog::default(),
             summarized: false,
+            scanned: false,
             declared_messages: None,
+            description: Description::default(),
             auxiliary: Vec::new(),
             data_end: MAGIC.len() as u64,
             chunks: Vec::new(),
@@ -144,6 +267,22 @@ impl FileIndex {
         }
     }
 
+    /// Makes it file `number` of a bag.
+    pub(crate) fn set_number(&mut self, number: usize) {
+        self.number = number;
+        self.blocks.iter_mut().for_each(|block| block.file = number);
+    }
+
+    /// Whether eddy has written the file, by the header at its start.
+    pub(crate) fn is_written_by_eddy(&self) -> bool {
+        let start = self.file.read(MAGIC.len() as u64, self.size.min(HEADER_LIMIT));
+        start.is_ok_and(|start| {
+            let body = start.get(HEADER_SIZE as usize..).unwrap_or_default();
+            let header = parse::record(op::HEADER, body);
+            matches!(header, Ok(Record::Header(header)) if header.library.starts_with("eddy "))
+        })
+    }
+
     /// The damage of the file, as errors.
     pub(crate) fn errors(&self) -> impl Iterator<Item = BagError> {
         self.damage.iter().map(|damage| damage.error(&self.path))
@@ -158,43 +297,18 @@ impl FileIndex {
         self.damage.push(Damage::Corrupt { position, found, expected });
     }
 
-    /// Adds a schema or a channel; ignores other records.
-    ///
-    /// # Errors
-    /// The reason why the record is rejected.
-    pub(super) fn declare(&mut self, record: &Record<'_>) -> Result<(), String> {
-        match record {
-            Record::Schema { header: SchemaHeader { id, name, encoding }, data } => {
-                let (name, encoding) = (name.clone(), encoding.clone());
-                let schema = Schema { name, encoding, data: data.to_vec() };
-                self.schemas.insert(*id, Arc::new(schema));
-            }
-            Record::Channel(records::Channel {
-                id,
-                schema_id,
-                topic,
-                message_encoding,
-                metadata,
-            }) => {
-                let schema = match (schema_id, self.schemas.get(schema_id)) {
-                    (0, _) => None,
-                    (_, Some(schema)) => Some(Arc::clone(schema)),
-                    (_, None) => {
-                        return Err(format!(
-                            "channel {id} of topic {topic} with schema {schema_id}, which is not declared"
-                        ));
-                    }
-                };
-                let channel = Channel {
-                    topic: topic.clone(),
-                    schema,
-                    encoding: message_encoding.clone(),
-                    metadata: metadata.clone(),
-                };
-                self.channels.insert(*id, Arc::new(channel));
-            }
-            _ => {}
-        }
-        Ok(())
+    /// What the file says twice, and differently, as errors; then the number of those that are not listed.
+    pub(crate) fn contradictions(&self) -> (impl Iterator<Item = BagError>, u64) {
+        let listed = self.contradictions.iter().map(|found| found.error(&self.path));
+        (listed, self.contradictions.omitted())
+    }
+
+    /// Whether an id of a channel has several contents, which a summary section cannot say.
+    pub(crate) fn has_ambiguous_ids(&self) -> bool {
+        self.channels.keys().any(|key| u16::try_from(*key).is_err())
+    }
+
+    pub(super) fn add_contradiction(&mut self, position: u64, found: String, expected: String) {
+        self.contradictions.push(Damage::Corrupt { position, found, expected });
     }
 }

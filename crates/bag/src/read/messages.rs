@@ -7,7 +7,7 @@ use eddy_storage::Prefetched;
 use mcap::records::Record;
 
 use super::{
-    block::{Block, unknown_channel},
+    block::{Block, ChannelKeys, unknown_channel},
     contents::{Contents, FileChannel},
     error_log::ErrorLog,
 };
@@ -120,10 +120,15 @@ impl Messages {
         let channels = &contents.channels[block.file];
         let ready = &mut self.ready;
         let ready_before = ready.len();
-        let outcome = block.read(&file.path, &file.file, prefetched, |record| {
-            let Record::Message { header, data } = record else { return Ok(()) };
+        let mut keys = ChannelKeys::of(&block);
+        let outcome = block.read(&file.path, &file.file, prefetched, |_, record| {
+            keys.next_record();
+            let Record::Message { header, data } = record else {
+                // A scan has found the ids that the file declares twice. Of other files only the summary section is known.
+                return if file.scanned { Ok(()) } else { file.declared.check(&record) };
+            };
             let FileChannel { topic, channel } = channels
-                .get(&header.channel_id)
+                .get(&keys.key(header.channel_id))
                 .ok_or_else(|| unknown_channel(header.channel_id))?;
             if !self.selected[*topic] || header.log_time < self.from || header.log_time > self.until
             {

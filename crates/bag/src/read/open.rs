@@ -9,7 +9,8 @@ use eddy_storage::File;
 use mcap::MAGIC;
 
 use super::{
-    index::{FileIndex, Progress},
+    auxiliary,
+    index::{Declarations, FileIndex, Progress},
     records::{self, Records},
 };
 use crate::error::BagError;
@@ -21,16 +22,28 @@ impl FileIndex {
     /// [`BagError::Io`]; [`BagError::Magic`] when it is not an MCAP file. Damage after the first bytes is not
     /// an error but recorded in the index.
     pub(super) fn open(path: &Path, number: usize) -> Result<Self, BagError> {
-        Self::open_with_progress(path, number, &mut |_| true)
+        Self::open_by(path, number, Source::Summary, &mut |_| true)
     }
 
-    /// As [`FileIndex::open`], with a callback during a scan.
+    /// As [`FileIndex::open`], from the source of choice, with a callback during a scan.
     ///
     /// # Errors
     /// Also [`BagError::Interrupted`].
-    pub(crate) fn open_with_progress(
+    pub(crate) fn open_by(
         path: &Path,
         number: usize,
+        source: Source,
+        progress: &mut Progress<'_>,
+    ) -> Result<Self, BagError> {
+        let mut index = Self::index(path, number, source, progress)?;
+        index.description = auxiliary::description(&index.file, &index.auxiliary);
+        Ok(index)
+    }
+
+    fn index(
+        path: &Path,
+        number: usize,
+        source: Source,
         progress: &mut Progress<'_>,
     ) -> Result<Self, BagError> {
         let failed = |reason| BagError::Io { path: path.into(), action: "reading", reason };
@@ -41,26 +54,34 @@ impl FileIndex {
         readable(reader.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic))
             .map_err(failed)?;
         if !MAGIC.starts_with(&magic) {
-            return Err(BagError::Magic { path: path.into(), found: magic });
+            return Err(not_mcap(path, magic, &mut reader));
         }
-        let mut index = Self::new(path, number, file.clone());
+        let (mut by_summary, mut declared) = (None, Declarations::default());
         let start = readable(records::summary_start(&mut reader, size)).map_err(failed)?.flatten();
         if let Some(start) = start {
+            let mut index = Self::new(path, number, file.clone());
             let mut records = Records::new(reader, size, start);
             let found = readable(index.read_summary(&mut records, start)).map_err(failed)?;
-            if found == Some(true) {
+            // The scan keeps the channels: the start of the file, where they are declared, may be damaged.
+            declared = index.declared.clone();
+            by_summary = (found == Some(true)).then_some(index);
+            if source == Source::Summary
+                && let Some(index) = by_summary
+            {
                 if !progress(size) {
                     return Err(BagError::Interrupted { path: path.into() });
                 }
                 return Ok(index);
             }
-            // The scan keeps the channels: the start of the file, where they are declared, may be damaged.
-            let Self { schemas, channels, .. } = index;
-            index = Self { schemas, channels, ..Self::new(path, number, file.clone()) };
             reader = file.reader().map_err(failed)?;
         }
         let records = Records::new(reader, size, size.min(MAGIC.len() as u64));
-        index.scan_records(records, progress)
+        let summarized = by_summary.is_some();
+        let index = Self { summarized, ..Self::new(path, number, file) };
+        let index = index.scan_records(records, declared, progress)?;
+        // Damage between the chunks hides some of them from a scan.
+        let is_damaged = index.errors().next().is_some();
+        Ok(by_summary.filter(|_| is_damaged).unwrap_or(index))
     }
 
     /// Indexes a file by a scan, without its summary section.
@@ -71,8 +92,35 @@ impl FileIndex {
         let file = File::open(path).map_err(BagError::io(path, "opening the file"))?;
         let reader = file.reader().map_err(BagError::io(path, "reading"))?;
         let records = Records::new(reader, file.size(), MAGIC.len() as u64);
-        Self::new(path, 0, file).scan_records(records, &mut |_| true)
+        Self::new(path, 0, file).scan_records(records, Declarations::default(), &mut |_| true)
     }
+}
+
+/// Where the index of a file comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Source {
+    /// From the summary section, if the message indexes confirm it, else from a scan.
+    Summary,
+    /// From a scan of all records, unless that meets damage and the summary section is confirmed.
+    Scan,
+}
+
+/// How a file of Git LFS begins that holds the address of a file in its place
+/// (<https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md>).
+const LFS_POINTER: &[u8] = b"version https://git-lfs";
+
+/// The error of a file that begins with `found` instead of the bytes of MCAP.
+fn not_mcap(path: &Path, mut found: Vec<u8>, rest: &mut impl Read) -> BagError {
+    let begun = found.len();
+    // Bytes that cannot be read are no pointer.
+    let _ = rest
+        .take((LFS_POINTER.len() - begun.min(LFS_POINTER.len())) as u64)
+        .read_to_end(&mut found);
+    if found == LFS_POINTER {
+        return BagError::LfsPointer { path: path.into() };
+    }
+    found.truncate(begun);
+    BagError::Magic { path: path.into(), found }
 }
 
 /// `None` where the disk has a bad sector.

@@ -10,13 +10,17 @@ use mcap::records::op;
 
 use super::{
     auxiliary::AuxiliaryRecord,
-    contents::{Contents, TopicInfo},
+    contents::{Contents, FileChannel, TopicInfo},
     index::FileIndex,
-    messages::{Messages, Selection},
+    messages::{BagMessage, Messages, Selection},
+    open::Source,
 };
 use crate::{
     error::BagError,
-    format::{channel::Channel, custom_data::CustomData, layout},
+    format::{
+        channel::Channel, custom_data::CustomData, description::Description, layout,
+        summary::WrittenTopic,
+    },
 };
 use eddy_frames::{Frame, Stamp};
 use eddy_messages::{FrameCdr, Message, ParticleFrame, cdr::place_of_frame};
@@ -38,23 +42,40 @@ impl BagReader {
     /// with damage after its first bytes can be opened: [`BagReader::damage`] returns the damage, and its
     /// messages end with the error.
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        let (files, custom_data) = layout::files_of(path)?;
-        Self::open_files(path, &files, custom_data)
-    }
-
-    fn open_files(
-        path: &Path,
-        files: &[PathBuf],
-        custom_data: CustomData,
-    ) -> Result<Self, BagError> {
+        let (files, in_yaml) = layout::files_of(path)?;
         let files = files.iter().enumerate();
         let files = files.map(|(number, file)| FileIndex::open(file, number));
-        Ok(Self::from_files(path, files.collect::<Result<_, _>>()?, custom_data))
+        Ok(Self::from_files(path, files.collect::<Result<_, _>>()?, in_yaml))
     }
 
-    /// Indexed files, in this order, as the bag `path` with these entries of `custom_data`.
-    pub(crate) fn from_files(path: &Path, files: Vec<FileIndex>, custom_data: CustomData) -> Self {
-        Self { contents: Arc::new(Contents::new(path, files, custom_data)) }
+    /// Indexed files, in this order, as the bag `path`, which `metadata.yaml` describes as `in_yaml`.
+    pub(crate) fn from_files(
+        path: &Path,
+        files: Vec<FileIndex>,
+        in_yaml: Option<Description>,
+    ) -> Self {
+        Self { contents: Arc::new(Contents::new(path, files, in_yaml)) }
+    }
+
+    pub(super) fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    /// For each file, what it says twice and differently, and the number of further cases. Files that were not scanned are scanned.
+    pub(super) fn contradictions(
+        &self,
+    ) -> impl Iterator<Item = Result<(Vec<BagError>, u64), BagError>> {
+        self.contents.files.iter().map(|file| {
+            let listed = |file: &FileIndex| {
+                let (found, further) = file.contradictions();
+                (found.collect(), further)
+            };
+            if file.scanned {
+                return Ok(listed(file));
+            }
+            let scanned = FileIndex::open_by(&file.path, file.number, Source::Scan, &mut |_| true)?;
+            Ok(listed(&scanned))
+        })
     }
 
     /// The path it was opened with.
@@ -67,9 +88,14 @@ impl BagReader {
         self.contents.files.iter().map(|file| file.path.as_path())
     }
 
-    /// `custom_data` in its `metadata.yaml`; empty without one, as for a file of a bag.
+    /// `custom_data` in its `metadata.yaml`, and beyond that in the metadata records of rosbag2 in its files.
     pub fn custom_data(&self) -> &CustomData {
-        &self.contents.custom_data
+        &self.contents.described.custom_data
+    }
+
+    /// Distribution of ROS that recorded it, by the same sources; empty if unknown.
+    pub(crate) fn distro(&self) -> &str {
+        &self.contents.described.distro
     }
 
     /// Total size of the MCAP files (bytes).
@@ -93,15 +119,39 @@ impl BagReader {
         self.contents.damage()
     }
 
-    /// The topics, sorted by name. A topic with messages of two types is listed twice.
+    /// The topics, sorted by name. A topic with messages of two types is listed twice. Versions of a type are told apart
+    /// by [`BagReader::channels`].
     pub fn topics(&self) -> &[TopicInfo] {
         &self.contents.topics
+    }
+
+    /// The index in [`BagReader::channels`] of the channel of a message of this bag, and that in [`BagReader::topics`] of its topic;
+    /// `None` for a message of another bag.
+    pub(super) fn place_of(&self, message: &BagMessage) -> Option<(usize, usize)> {
+        let mut channels = self.contents.distinct.iter();
+        let number = channels.position(|channel| Arc::ptr_eq(channel, &message.channel))?;
+        Some((number, self.contents.topic_of[number]))
     }
 
     /// The channels, in the order of the files and of the channel ids. A topic that several writers described
     /// differently has several channels.
     pub fn channels(&self) -> &[Arc<Channel>] {
         &self.contents.distinct
+    }
+
+    /// Each channel with its messages.
+    pub(crate) fn written_topics(&self) -> Vec<WrittenTopic> {
+        let Contents { files, channels, distinct, .. } = &*self.contents;
+        let mut topics: Vec<_> = distinct.iter().map(WrittenTopic::new).collect();
+        for (file, channels) in files.iter().zip(channels) {
+            for (key, FileChannel { channel, .. }) in channels {
+                let number = distinct.iter().position(|known| Arc::ptr_eq(known, channel));
+                if let Some(number) = number {
+                    topics[number].messages += file.counts.get(key).copied().unwrap_or_default();
+                }
+            }
+        }
+        topics
     }
 
     /// Number of messages.

@@ -7,6 +7,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use eddy_storage::Reader;
 use mcap::{MAGIC, records::op};
 
+use super::index::Times;
 use crate::error::BagError;
 
 /// Size of opcode and length (bytes).
@@ -51,7 +52,7 @@ impl RecordHeader {
 }
 
 /// Outcome of [`Records::step`].
-pub(super) enum Step {
+pub(crate) enum Step {
     /// A complete record.
     Record(RecordHeader),
     /// A record whose body is truncated.
@@ -63,7 +64,7 @@ pub(super) enum Step {
 }
 
 /// The records of a file.
-pub(super) struct Records {
+pub(crate) struct Records {
     file: BufReader<Reader>,
     pub(super) size: u64,
     /// Start of the next record (bytes).
@@ -74,19 +75,19 @@ pub(super) struct Records {
 
 /// Kinds of records that no longer occur before the end of the file.
 #[derive(Default)]
-pub(super) struct Absent {
+pub(crate) struct Absent {
     pub(super) chunks: bool,
     pub(super) messages: bool,
 }
 
 impl Records {
     /// Starts at byte `position` of a file of `size` bytes.
-    pub(super) fn new(file: Reader, size: u64, position: u64) -> Self {
+    pub(crate) fn new(file: Reader, size: u64, position: u64) -> Self {
         Self { file: BufReader::new(file), size, position, absent: Absent::default() }
     }
 
     /// Steps over the next record.
-    pub(super) fn step(&mut self) -> io::Result<Step> {
+    pub(crate) fn step(&mut self) -> io::Result<Step> {
         let left = self.size.saturating_sub(self.position);
         if left == 0 {
             return Ok(Step::End);
@@ -135,18 +136,25 @@ impl Records {
     }
 }
 
+/// The compression of a chunk by its name in a file. The specification has an empty string for none; some writers put `none`.
+pub(super) fn compression(name: &str) -> &str {
+    if name == "none" { "" } else { name }
+}
+
 /// The fields of a chunk before its records.
-pub(super) struct ChunkHeader {
+pub(crate) struct ChunkHeader {
+    /// Log times of the first and the last message, as the chunk states them (ns).
+    pub(crate) times: Times,
     /// Size of the records before compression (bytes).
-    pub(super) uncompressed: u64,
+    pub(crate) uncompressed: u64,
     /// Empty for none.
-    pub(super) compression: String,
+    pub(crate) compression: String,
     /// CRC-32 of the records before compression; 0 if there is none.
-    pub(super) crc: u32,
+    pub(crate) crc: u32,
     /// Start of the records in the body (bytes).
-    pub(super) records: usize,
+    pub(crate) records: usize,
     /// Size of the records after compression (bytes).
-    pub(super) compressed: u64,
+    pub(crate) compressed: u64,
 }
 
 impl ChunkHeader {
@@ -156,18 +164,19 @@ impl ChunkHeader {
     }
 
     /// Parses the start of a chunk's body; `None` if it is truncated.
-    pub(super) fn parse(body: &[u8]) -> Option<Self> {
+    pub(crate) fn parse(body: &[u8]) -> Option<Self> {
         let number = |at: usize| body.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
         let long = |at: usize| body.get(at..at + 8)?.try_into().ok().map(u64::from_le_bytes);
-        let uncompressed = long(16)?;
+        let (times, uncompressed) = ((long(0)?, long(8)?), long(16)?);
         let (crc, name_length) = (number(24)?, number(28)? as usize);
         if name_length > COMPRESSION_NAME_LIMIT {
             return None;
         }
         let name_end = CHUNK_FIXED + name_length;
-        let compression = String::from_utf8(body.get(CHUNK_FIXED..name_end)?.to_vec()).ok()?;
+        let name = str::from_utf8(body.get(CHUNK_FIXED..name_end)?).ok()?;
+        let compression = compression(name).to_owned();
         let (compressed, records) = (long(name_end)?, name_end + 8);
-        Some(Self { uncompressed, compression, crc, records, compressed })
+        Some(Self { times, uncompressed, compression, crc, records, compressed })
     }
 }
 

@@ -1,20 +1,24 @@
 //! Indexes a file by a scan of all its records: for files without a usable summary section.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
 use mcap::{
     MAGIC,
-    records::{ChunkIndex, Record, op},
+    records::{self, ChunkIndex, Record, op},
 };
 
 use super::{
-    block::{Block, BlockKind, describe, unknown_channel, unreadable, wanted_record},
-    index::{BlockContents, Damage, FileIndex, PROGRESS_STEP, Progress, add_counts, widen},
+    block::{Block, BlockKind, Switch, describe, unknown_channel, unreadable, wanted_record},
+    index::{
+        BlockContents, ChannelKey, Damage, Declarations, FileIndex, PROGRESS_STEP, Progress,
+        add_counts, widen,
+    },
     records::{NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
+    statements::{LastChunk, ONE_CONTENT, Statements},
 };
 use crate::{
     error::BagError,
-    format::{layout, parse},
+    format::{channel::Channel, layout, parse},
 };
 
 /// Body of a data end record: a checksum (bytes).
@@ -24,15 +28,28 @@ const DATA_END_LENGTH: u64 = 4;
 const UNCHUNKED_BLOCK: u64 = 1 << 20;
 
 impl FileIndex {
-    /// Reads the whole file once, with the contents of its chunks.
+    /// Reads the whole file once, with the contents of its chunks. Channels that its data section lacks, as the place of their
+    /// declaration may be damaged, are those of the `summary`.
     pub(super) fn scan_records(
         mut self,
         mut records: Records,
+        summary: Declarations,
         progress: &mut Progress<'_>,
     ) -> Result<Self, BagError> {
         let failed = BagError::io(self.path.clone(), "reading");
         let mut reported = 0;
-        match self.scan_to_end(&mut records, progress, &mut reported) {
+        self.scanned = true;
+        let mut scan = Scan { summary, ..Scan::default() };
+        let end = self.scan_to_end(&mut records, &mut scan, progress, &mut reported);
+        for (&id, channel) in &scan.summary.channels {
+            if !self.declared.channels.contains_key(&id) {
+                self.declared.channels.insert(id, Arc::clone(channel));
+                self.channels.insert(id.into(), Arc::clone(channel));
+            }
+        }
+        match end {
+            // Statements about what is damaged cannot be compared.
+            Ok(None) if self.damage.iter().next().is_none() => scan.statements.end(&mut self),
             Ok(None) => {}
             Ok(Some(expected)) => {
                 let (size, messages) = (self.size, self.messages());
@@ -52,6 +69,7 @@ impl FileIndex {
     fn scan_to_end(
         &mut self,
         records: &mut Records,
+        scan: &mut Scan,
         progress: &mut Progress<'_>,
         reported: &mut u64,
     ) -> Result<Option<String>, ScanError> {
@@ -70,7 +88,7 @@ impl FileIndex {
             }
             let header = match records.step() {
                 Ok(Step::Record(header) | Step::TruncatedBody(header)) if !in_summary => {
-                    match self.with_true_length(header, records)? {
+                    match self.with_true_length(header, records, scan)? {
                         Some(header) => header,
                         None => continue,
                     }
@@ -85,7 +103,9 @@ impl FileIndex {
                 Err(error) if BagError::is_unreadable(&error) => {
                     let position = records.position;
                     self.add_damage(position, unreadable(&error), "a record".into());
-                    if in_summary || !records.seek_message(position + 1, &self.channels)? {
+                    if in_summary
+                        || !records.seek_message(position + 1, &self.known_channels(scan))?
+                    {
                         return Ok(Some(format!("a record from byte {position}")));
                     }
                     continue;
@@ -94,10 +114,13 @@ impl FileIndex {
             };
             if header.end() > self.size {
                 if header.opcode == op::CHUNK && !in_summary {
-                    self.chunk(&header, BlockKind::TruncatedChunk, records)?;
+                    self.chunk(&header, BlockKind::TruncatedChunk, records, scan)?;
                 }
                 let start = header.position;
                 return Ok(Some(format!("{} from byte {start}", describe(&header))));
+            }
+            if header.opcode != op::MESSAGE_INDEX {
+                scan.statements.end_chunk(self);
             }
             match header.opcode {
                 NO_RECORD if !in_summary => {
@@ -120,12 +143,14 @@ impl FileIndex {
                     }
                     in_summary = true;
                 }
-                op::STATISTICS if in_summary => self.statistics(&header, records)?,
+                opcode if in_summary && Statements::takes(opcode) => {
+                    self.summary_record(&header, records, scan)?
+                }
                 _ if in_summary => {}
-                op::CHUNK => self.chunk(&header, BlockKind::Chunk, records)?,
-                op::MESSAGE_INDEX => self.message_index(&header, records)?,
+                op::CHUNK => self.chunk(&header, BlockKind::Chunk, records, scan)?,
+                op::MESSAGE_INDEX => self.message_index(&header, records, scan)?,
                 op::SCHEMA | op::CHANNEL | op::MESSAGE => {
-                    self.unchunked_record(&header, records)?
+                    self.unchunked_record(&header, records, scan)?
                 }
                 op::ATTACHMENT | op::METADATA => self.auxiliary.push(header),
                 _ => {}
@@ -143,6 +168,7 @@ impl FileIndex {
         &mut self,
         header: RecordHeader,
         records: &mut Records,
+        scan: &Scan,
     ) -> Result<Option<RecordHeader>, ScanError> {
         if header.opcode == op::FOOTER {
             return Ok(Some(header));
@@ -164,7 +190,7 @@ impl FileIndex {
         let continues = match header.opcode {
             // Messages in a chunk are protected by its checksum only.
             op::CHUNK => records.seek_chunk(header.position + 1)?,
-            _ => records.seek_message(header.position + 1, &self.channels)?,
+            _ => records.seek_message(header.position + 1, &self.known_channels(scan))?,
         };
         if continues {
             let expected = "a length that ends at the next record".into();
@@ -173,18 +199,79 @@ impl FileIndex {
         Ok((!continues).then_some(header))
     }
 
-    fn statistics(
+    /// The channels that messages may have.
+    fn known_channels(&self, scan: &Scan) -> BTreeMap<u16, Arc<Channel>> {
+        let mut known = scan.summary.channels.clone();
+        known.extend(self.declared.channels.iter().map(|(&id, of)| (id, Arc::clone(of))));
+        known
+    }
+
+    fn summary_record(
         &mut self,
         header: &RecordHeader,
         records: &mut Records,
+        scan: &mut Scan,
     ) -> Result<(), ScanError> {
-        if header.length <= SIZE_LIMIT
-            && let Ok(Record::Statistics(found)) =
-                parse::record(header.opcode, &records.read(header)?)
-        {
-            self.declared_messages = Some(found.message_count);
+        if header.length > SIZE_LIMIT {
+            return Ok(());
+        }
+        let body = records.read(header)?;
+        if let Ok(record) = parse::record(header.opcode, &body) {
+            if let Record::Statistics(found) = &record {
+                self.declared_messages = Some(found.message_count);
+            }
+            scan.statements.add(header.position, record, self);
         }
         Ok(())
+    }
+
+    /// Adds a schema or a channel of the data section at byte `position`. Returns its id and the channel that messages with the id
+    /// belong to from here on, if that changes.
+    ///
+    /// # Errors
+    /// The reason why the record is rejected.
+    fn declare(
+        &mut self,
+        position: u64,
+        record: &Record<'_>,
+        scan: &mut Scan,
+    ) -> Result<Option<(u16, ChannelKey)>, String> {
+        if let Record::Channel(channel) = record
+            && !self.declared.schemas.contains_key(&channel.schema_id)
+            && let Some(schema) = scan.summary.schemas.get(&channel.schema_id)
+        {
+            self.declared.schemas.insert(channel.schema_id, Arc::clone(schema));
+        }
+        if let Some(before) = self.declared.declare(record)? {
+            let found = format!("{before}, declared again with another content");
+            self.add_contradiction(position, found, ONE_CONTENT.into());
+        }
+        let Record::Channel(records::Channel { id, .. }) = record else { return Ok(None) };
+        let Some(channel) = self.declared.channels.get(id) else { return Ok(None) };
+        let first = ChannelKey::from(*id);
+        let key = match self.channels.get(&first) {
+            None => first,
+            Some(known) if known == channel => first,
+            Some(_) => {
+                let others = self.channels.range(BEYOND_IDS..);
+                let same = others.clone().find(|(_, known)| *known == channel);
+                let new = || others.clone().next_back().map_or(BEYOND_IDS, |(last, _)| last + 1);
+                same.map_or_else(new, |(key, _)| *key)
+            }
+        };
+        self.channels.entry(key).or_insert_with(|| Arc::clone(channel));
+        let before = scan.current.insert(*id, key).unwrap_or(first);
+        Ok((before != key).then_some((*id, key)))
+    }
+
+    /// The channel that messages with an id belong to here; `None` if it is not declared.
+    fn key_of(&mut self, id: u16, scan: &Scan) -> Option<ChannelKey> {
+        if !self.declared.channels.contains_key(&id) {
+            let channel = scan.summary.channels.get(&id)?;
+            self.declared.channels.insert(id, Arc::clone(channel));
+            self.channels.insert(id.into(), Arc::clone(channel));
+        }
+        Some(scan.current.get(&id).copied().unwrap_or(id.into()))
     }
 
     fn chunk(
@@ -192,12 +279,13 @@ impl FileIndex {
         header: &RecordHeader,
         kind: BlockKind,
         records: &mut Records,
+        scan: &mut Scan,
     ) -> Result<(), ScanError> {
         let fields = records.chunk_header(header)?;
         if let Some(fields) = &fields {
             self.compressions.insert(fields.compression.clone());
         }
-        let end = header.end().min(self.size);
+        let (position, end) = (header.position, header.end().min(self.size));
         let block = Block {
             file: self.number,
             position: header.position,
@@ -205,19 +293,29 @@ impl FileIndex {
             kind,
             first: 0,
             last: 0,
+            switches: Vec::new(),
         };
         let (path, file) = (self.path.clone(), self.file.clone());
         let (mut counts, mut times) = (BTreeMap::new(), None);
-        let outcome = block.read(&path, &file, None, |record| match record {
-            Record::Message { header, .. } => {
-                if !self.channels.contains_key(&header.channel_id) {
-                    return Err(unknown_channel(header.channel_id));
+        let (mut switches, mut number) = (scan.switches(), 0);
+        let stated = fields.as_ref().map(|fields| fields.times).unwrap_or_default();
+        let mut chunk = LastChunk::new(header.position, stated);
+        let outcome = block.read(&path, &file, None, |place, record| {
+            number += 1;
+            match record {
+                Record::Message { header, .. } => {
+                    let id = header.channel_id;
+                    let key = self.key_of(id, scan).ok_or_else(|| unknown_channel(id))?;
+                    *counts.entry(key).or_insert(0) += 1;
+                    times = Some(widen(times, (header.log_time, header.log_time)));
+                    chunk.add_message(id, header.log_time, place);
                 }
-                *counts.entry(header.channel_id).or_insert(0) += 1;
-                times = Some(widen(times, (header.log_time, header.log_time)));
-                Ok(())
+                other => {
+                    let switched = self.declare(position, &other, scan)?;
+                    switches.extend(switched.map(|(id, key)| Switch { from: number, id, key }));
+                }
             }
-            other => self.declare(&other),
+            Ok(())
         });
         match outcome {
             Ok(()) => {}
@@ -242,8 +340,11 @@ impl FileIndex {
                 compression: fields.compression,
             });
         }
+        if kind == BlockKind::Chunk {
+            scan.statements.begin_chunk(chunk);
+        }
         if let Some((first, last)) = times {
-            self.blocks.push(Block { first, last, ..block });
+            self.blocks.push(Block { first, last, switches, ..block });
             self.count(BlockContents { position: header.position, counts, times: (first, last) });
         }
         Ok(())
@@ -254,6 +355,7 @@ impl FileIndex {
         &mut self,
         header: &RecordHeader,
         records: &mut Records,
+        scan: &mut Scan,
     ) -> Result<(), ScanError> {
         let Some(chunk) = self.chunks.last_mut() else { return Ok(()) };
         let indexed = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length;
@@ -266,6 +368,7 @@ impl FileIndex {
             body => body?,
         };
         if let Ok(Record::MessageIndex(index)) = parse::record(header.opcode, &body) {
+            scan.statements.index(&index);
             chunk.message_index_offsets.insert(index.channel_id, header.position);
             chunk.message_index_length += header.end() - header.position;
         }
@@ -276,6 +379,7 @@ impl FileIndex {
         &mut self,
         header: &RecordHeader,
         records: &mut Records,
+        scan: &mut Scan,
     ) -> Result<(), ScanError> {
         if header.length > SIZE_LIMIT {
             self.add_damage(header.position, describe(header), "at most 1 GiB".into());
@@ -292,9 +396,11 @@ impl FileIndex {
         let parsed = wanted_record(header.opcode, &body).map_err(|error| error.to_string());
         let outcome = match parsed {
             Ok(Some(Record::Message { header: message, .. })) => {
-                if self.channels.contains_key(&message.channel_id) {
-                    self.add_unchunked_message(header, message.log_time);
-                    let (counts, time) = ([(message.channel_id, 1)].into(), message.log_time);
+                let id = message.channel_id;
+                if let Some(key) = self.key_of(id, scan) {
+                    self.add_unchunked_message(header, message.log_time, scan);
+                    scan.statements.count(id, 1);
+                    let (counts, time) = ([(key, 1)].into(), message.log_time);
                     self.count(BlockContents {
                         position: header.position,
                         counts,
@@ -302,10 +408,11 @@ impl FileIndex {
                     });
                     Ok(())
                 } else {
-                    Err(unknown_channel(message.channel_id))
+                    Err(unknown_channel(id))
                 }
             }
-            Ok(Some(other)) => self.declare(&other),
+            // Ends the block of messages before it.
+            Ok(Some(other)) => self.declare(header.position, &other, scan).map(drop),
             Ok(None) => Ok(()),
             Err(reason) => Err(reason),
         };
@@ -317,7 +424,7 @@ impl FileIndex {
     }
 
     /// Adds a message outside chunks to the block before it if that ends where the message starts.
-    fn add_unchunked_message(&mut self, header: &RecordHeader, time: u64) {
+    fn add_unchunked_message(&mut self, header: &RecordHeader, time: u64, scan: &Scan) {
         let length = header.end() - header.position;
         if let Some(block) = self.blocks.last_mut()
             && block.kind == BlockKind::Unchunked
@@ -335,6 +442,7 @@ impl FileIndex {
             kind: BlockKind::Unchunked,
             first: time,
             last: time,
+            switches: scan.switches(),
         });
     }
 
@@ -350,6 +458,27 @@ impl FileIndex {
             }
             _ => self.contents.push(added),
         }
+    }
+}
+
+/// First key of the contents beyond the first one of an id.
+const BEYOND_IDS: ChannelKey = 1 << 16;
+
+/// What is known while a file is scanned, beside its index.
+#[derive(Default)]
+struct Scan {
+    /// Schemas and channels of the summary section.
+    summary: Declarations,
+    /// The channels that ids stand for, once they are declared.
+    current: BTreeMap<u16, ChannelKey>,
+    statements: Statements,
+}
+
+impl Scan {
+    /// The switches at the start of a block: ids that stand for another channel than their first.
+    fn switches(&self) -> Vec<Switch> {
+        let switched = self.current.iter().filter(|(id, key)| ChannelKey::from(**id) != **key);
+        switched.map(|(&id, &key)| Switch { from: 0, id, key }).collect()
     }
 }
 

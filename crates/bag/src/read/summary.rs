@@ -1,6 +1,6 @@
 //! Reads the index of a file from its summary section.
 
-use std::io;
+use std::{io, sync::Arc};
 
 use mcap::{
     MAGIC,
@@ -10,7 +10,7 @@ use mcap::{
 use super::{
     block::{Block, BlockKind},
     index::FileIndex,
-    records::{RecordHeader, Records, SIZE_LIMIT, Step},
+    records::{RecordHeader, Records, SIZE_LIMIT, Step, compression},
 };
 use crate::format::parse;
 
@@ -32,22 +32,27 @@ impl FileIndex {
             match parse::record(header.opcode, &body) {
                 Ok(Record::Statistics(found)) => statistics = Some(found),
                 Ok(Record::ChunkIndex(chunk)) => chunks.push(chunk),
-                Ok(record) if self.declare(&record).is_ok() => {}
+                // An id with two contents: the data section tells which messages are whose.
+                Ok(record) if matches!(self.declared.declare(&record), Ok(None)) => {}
                 _ => return Ok(false),
             }
         }
+        let channels = self.declared.channels.iter();
+        self.channels = channels.map(|(&id, of)| (id.into(), Arc::clone(of))).collect();
         chunks.sort_by_key(|chunk: &ChunkIndex| chunk.chunk_start_offset);
         let Some(auxiliary) = between_chunks(&chunks, records, start)? else { return Ok(false) };
         self.auxiliary = auxiliary;
-        Ok(statistics.is_some_and(|statistics| self.add_chunks(statistics, &chunks)))
+        let Some(statistics) = statistics else { return Ok(false) };
+        Ok(self.add_chunks(&statistics, &chunks)
+            && self.is_confirmed(&statistics, &chunks, records)?)
     }
 
     /// Adds the chunks; `false` when statistics and chunk indexes disagree.
-    fn add_chunks(&mut self, statistics: Statistics, chunks: &[ChunkIndex]) -> bool {
-        let counts = statistics.channel_message_counts;
+    fn add_chunks(&mut self, statistics: &Statistics, chunks: &[ChunkIndex]) -> bool {
+        let counts = &statistics.channel_message_counts;
         let complete = chunks.len() == statistics.chunk_count as usize
             && self.channels.len() == statistics.channel_count as usize
-            && counts.keys().all(|channel| self.channels.contains_key(channel))
+            && counts.keys().all(|channel| self.declared.channels.contains_key(channel))
             && counts.values().sum::<u64>() == statistics.message_count
             && (!chunks.is_empty() || statistics.message_count == 0);
         if !complete {
@@ -58,7 +63,7 @@ impl FileIndex {
             if position.checked_add(length).is_none_or(|end| end > self.size) {
                 return false;
             }
-            self.compressions.insert(chunk.compression.clone());
+            self.compressions.insert(compression(&chunk.compression).to_owned());
             self.blocks.push(Block {
                 file: self.number,
                 position,
@@ -66,10 +71,11 @@ impl FileIndex {
                 kind: BlockKind::Chunk,
                 first: chunk.message_start_time,
                 last: chunk.message_end_time,
+                switches: Vec::new(),
             });
         }
         self.declared_messages = Some(statistics.message_count);
-        self.counts = counts;
+        self.counts = counts.iter().map(|(&id, &messages)| (id.into(), messages)).collect();
         self.times = (statistics.message_count > 0)
             .then_some((statistics.message_start_time, statistics.message_end_time));
         self.summarized = true;

@@ -13,6 +13,7 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
+<<<<<<< HEAD
 use super::{contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT};
 use crate::{
     error::{BagError, in_stream},
@@ -22,7 +23,17 @@ use eddy_frames::{Domain, Frame, Stamp, decimal};
 use eddy_messages::{
     BadFrame, Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus,
     RosString, cdr, type_support,
+=======
+use super::{
+    agreement, contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT,
+>>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
 };
+use crate::{
+    error::BagError,
+    format::channel::{Channel, ROS2MSG},
+};
+use eddy_frames::{Frame, Stamp, decimal};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, TypeSupport, dynamic, type_support};
 
 /// Maximum number of groups of findings; findings beyond them are only counted.
 const MAX_FINDING_GROUPS: usize = 50;
@@ -103,8 +114,13 @@ impl TopicSurvey {
 }
 
 impl Survey {
+<<<<<<< HEAD
     /// Reads every message and checks chunk checksums, CDR, whether every frame is valid and plausible, sequences and stamps of every
     /// stream, type hashes and message counts. Calls `progress` with the number of messages read so far.
+=======
+    /// Reads every message and checks chunk checksums, CDR by the definition of the type, finite numbers, sequences and stamps of
+    /// every stream, type hashes and versions, and what `metadata.yaml` says. Calls `progress` with the number of messages read so far.
+>>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
     ///
     /// On topics whose name ends in `prediction` sequence numbers may repeat: every observed frame may be
     /// followed by several predictions.
@@ -114,10 +130,11 @@ impl Survey {
         for topic in bag.topics() {
             survey.check_hash(topic);
         }
+        let decoders: Vec<_> = bag.channels().iter().map(|of| decoder_of(of)).collect();
         let mut read = 0;
         for message in bag.messages() {
             match message {
-                Ok(message) => survey.check_message(bag, &message),
+                Ok(message) => survey.check_message(bag, &decoders, &message),
                 Err(BagError::MoreErrors { count, .. }) => survey.further_findings += count,
                 Err(error) => survey.add_finding(error.to_string()),
             }
@@ -125,10 +142,12 @@ impl Survey {
             progress(read);
         }
         survey.check_counts(bag);
+        agreement::disagreements(bag).into_iter().for_each(|finding| survey.add_finding(finding));
         survey
     }
 
-    /// Checks the checksums of the data and summary sections, which reading messages does not use.
+    /// Checks what reading messages does not use: the checksums of the data and summary sections, and indexes and times that a file
+    /// states beside its messages.
     pub fn check_files(&mut self, bag: &BagReader) {
         if bag.is_unfinished() {
             let files: BTreeSet<_> = bag.files().map(|file| file.display().to_string()).collect();
@@ -146,6 +165,15 @@ impl Survey {
                     self.add_finding(BagError::io(file, "reading")(error).to_string());
                 }
                 Err(error) => self.add_finding(format!("{}: {error}", file.display())),
+            }
+        }
+        for file in bag.contradictions() {
+            match file {
+                Ok((found, further)) => {
+                    found.into_iter().for_each(|error| self.add_finding(error.to_string()));
+                    self.further_findings += further;
+                }
+                Err(error) => self.add_finding(error.to_string()),
             }
         }
     }
@@ -184,19 +212,21 @@ impl Survey {
         }
     }
 
-    fn check_message(&mut self, bag: &BagReader, message: &BagMessage) {
-        let position = bag.topics().iter().position(|topic| {
-            *topic.name == *message.topic && *topic.type_name == *message.type_name
-        });
-        let Some(index) = position else { return };
+    fn check_message(
+        &mut self,
+        bag: &BagReader,
+        decoders: &[Option<TypeSupport>],
+        message: &BagMessage,
+    ) {
+        let Some((channel, index)) = bag.place_of(message) else { return };
         let number = self.topics[index].messages;
         self.topics[index].messages += 1;
         self.topics[index].bytes += message.data.len() as u64;
         let times = self.topics[index].times.get_or_insert((message.log_time, message.log_time));
         times.1 = message.log_time;
         let data = &message.data;
-        let decoded = match &*message.type_name {
-            ParticleFrame::TYPE => match Frame::from_cdr(data) {
+        let decoded = match (&*message.type_name, &decoders[channel]) {
+            (ParticleFrame::TYPE, _) => match Frame::from_cdr(data) {
                 Ok(frame) => {
                     self.check_frame(index, message, &frame);
                     // Predictions may diverge.
@@ -207,6 +237,7 @@ impl Survey {
                     };
                     checked.map_err(BadFrame::from)
                 }
+<<<<<<< HEAD
                 Err(error) => Err(error),
             }
             .map_err(|reason| format!("{}: {reason}", in_stream(cdr::place_of_frame(data)))),
@@ -215,6 +246,12 @@ impl Survey {
             Clock::TYPE => check_cdr::<Clock>(data),
             RosString::TYPE => check_cdr::<RosString>(data),
             _ => Ok(()),
+=======
+                Err(error) => Err(error.to_string()),
+            },
+            (_, Some(support)) => dynamic::check(support, data).map_err(|error| error.to_string()),
+            (_, None) => Ok(()),
+>>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
         };
         if let Err(reason) = decoded {
             let topic = &message.topic;
@@ -247,22 +284,28 @@ impl Survey {
                 ));
             }
         }
-        match metadata::message_count(bag.path()) {
-            Ok(Some(stated)) if stated != bag.message_count() => {
-                let (path, found) = (bag.path().display(), bag.message_count());
-                self.add_finding(format!(
-                    "{path}: found {found} messages, expected {stated} as in metadata.yaml"
-                ));
-            }
-            Ok(_) => {}
-            Err(error) => self.add_finding(error.to_string()),
-        }
     }
 }
 
+<<<<<<< HEAD
 /// Whether a topic holds predictions, of which every observed frame may have several.
 fn is_prediction(topic: &str) -> bool {
     topic.ends_with("prediction")
+=======
+/// The type that the messages of a channel are decoded with, as `eddy topic echo` does: as the bag defines it, else a built-in one of
+/// the same version. `None` where there is none, and for messages that are not CDR or have wide strings.
+fn decoder_of(channel: &Channel) -> Option<TypeSupport> {
+    let definition = channel.definition();
+    let defined = match channel.definition_encoding() {
+        ROS2MSG => TypeSupport::from_schema(channel.type_name(), &definition).ok(),
+        _ if !definition.is_empty() => None,
+        _ => {
+            let built_in = type_support(channel.type_name()).ok().cloned();
+            built_in.filter(|ours| channel.type_hash().is_none_or(|hash| hash == ours.hash))
+        }
+    };
+    defined.filter(|support| channel.encoding == "cdr" && dynamic::is_decodable(support))
+>>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
 }
 
 /// A description without its numbers, which is the same for findings of one kind.
@@ -318,10 +361,13 @@ impl StreamSurvey {
     }
 }
 
+<<<<<<< HEAD
 fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
     cdr::decode::<M>(bytes).map(drop).map_err(|error| format!(": {error}"))
 }
 
+=======
+>>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
 /// Checks the checksums of the data and summary sections of a file.
 fn checksums(path: &Path) -> Result<(), McapError> {
     let mut file = File::open(path)?.reader()?;

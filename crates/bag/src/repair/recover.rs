@@ -9,7 +9,7 @@ use crate::{
     edit::copy::{CopyOptions, Recording, copy},
     error::BagError,
     format::{layout, metadata, summary::BagSummary},
-    read::{error_log::ErrorLog, index::FileIndex, reader::BagReader},
+    read::{error_log::ErrorLog, index::FileIndex, open::Source, reader::BagReader},
 };
 
 /// A bag to recover: all files of a directory, regardless of `metadata.yaml`, or a single file.
@@ -40,7 +40,8 @@ impl Recovery {
     pub fn open(path: &Path, progress: &mut dyn FnMut(u64) -> bool) -> Result<Self, BagError> {
         let (mut losses, mut files) = (ErrorLog::default(), Vec::<FileIndex>::new());
         for file in layout::mcap_files(path)? {
-            match FileIndex::open_with_progress(&file, files.len(), progress) {
+            // The messages count, not what a summary section says of them.
+            match FileIndex::open_by(&file, files.len(), Source::Scan, progress) {
                 Ok(index) => files.push(index),
                 Err(error @ BagError::Magic { .. }) => losses.push(error),
                 Err(error) => return Err(error),
@@ -49,8 +50,9 @@ impl Recovery {
         let by_files =
             files.iter().map(|file| file.declared_messages.unwrap_or(0).max(file.messages())).sum();
         // An unreadable metadata.yaml declares nothing.
-        let by_metadata = metadata::message_count(path).ok().flatten().unwrap_or(0);
-        let bag = BagReader::from_files(path, files, metadata::readable_custom_data(path));
+        let in_yaml = metadata::readable(path);
+        let by_metadata = in_yaml.as_ref().and_then(|of| of.message_count).unwrap_or(0);
+        let bag = BagReader::from_files(path, files, in_yaml);
         Ok(Self { bag, losses, declared: by_metadata.max(by_files) })
     }
 
@@ -87,7 +89,11 @@ impl Recovery {
         let losses = RefCell::new(losses);
         let auxiliary = bag.auxiliary().filter_map(|record| skip_damage(record, &losses));
         let messages = bag.messages().filter_map(|message| skip_damage(message, &losses));
-        let recording = Recording { custom_data: bag.custom_data().clone(), auxiliary };
+        let recording = Recording {
+            custom_data: bag.custom_data().clone(),
+            distro: bag.distro().to_owned(),
+            auxiliary,
+        };
         let saved = copy(output, bag.channels(), recording, messages, options)?;
         let mut losses = losses.into_inner();
         let mut losses: Vec<String> =

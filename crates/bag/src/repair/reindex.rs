@@ -1,19 +1,19 @@
-//! Writes missing summary sections and `metadata.yaml`.
+//! Writes missing and wrong summary sections and indexes of chunks, and `metadata.yaml`.
 
-use std::{
-    collections::BTreeMap,
-    fs::File,
-    io::{self, Read as _},
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
+use super::indexes::copy_with_indexes;
 use crate::{
     error::BagError,
     format::{
         layout, metadata,
-        summary::{BagSummary, WrittenFile, WrittenTopic},
+        summary::{BagSummary, OURS, WrittenFile},
     },
-    read::index::{FileIndex, PROGRESS_STEP, Progress},
+    read::{
+        index::{FileIndex, Progress},
+        open::Source,
+        reader::BagReader,
+    },
     write::finish::{OnFullDisk, finish_file},
 };
 use eddy_frames::Stamp;
@@ -24,12 +24,13 @@ use eddy_settings::atomic::Staged;
 pub struct Reindexed {
     /// The bag with its files as they are now.
     pub bag: BagSummary,
-    /// The files that got a summary section.
+    /// The files that got a new summary section.
     pub summarized: Vec<PathBuf>,
 }
 
-/// A bag to reindex: every file without a usable summary section gets a new one, and a directory a new
-/// `metadata.yaml`. Files are replaced atomically; their records stay as they are.
+/// A bag to reindex: every file without a summary section, or that says of its messages what is not so, gets a new one with new
+/// message indexes and times of its chunks, and a directory a new `metadata.yaml`. Files are replaced atomically; their messages,
+/// channels, attachments and metadata records stay as they are.
 #[derive(Debug)]
 pub struct Reindexing {
     path: PathBuf,
@@ -51,15 +52,18 @@ impl Reindexing {
         let files: Vec<FileIndex> = files
             .iter()
             .enumerate()
-            .map(|(number, file)| FileIndex::open_with_progress(file, number, progress))
+            .map(|(number, file)| FileIndex::open_by(file, number, Source::Scan, progress))
             .collect::<Result<_, _>>()?;
         files.iter().flat_map(FileIndex::errors).next().map_or(Ok(()), Err)?;
+        // A summary section has one content for each id.
+        let ambiguous = files.iter().filter(|file| file.has_ambiguous_ids());
+        ambiguous.flat_map(|file| file.contradictions().0).next().map_or(Ok(()), Err)?;
         Ok(Self { path: path.into(), files })
     }
 
-    /// Total size of the files without a usable summary section, which will be copied (bytes).
+    /// Total size of the files that will be copied (bytes).
     pub fn to_copy(&self) -> u64 {
-        self.files.iter().filter(|file| !file.summarized).map(|file| file.size).sum()
+        self.files.iter().filter(|file| is_wrong(file)).map(|file| file.size).sum()
     }
 
     /// Writes the summary sections and `metadata.yaml`. `progress` is called with the number of bytes copied since
@@ -70,10 +74,10 @@ impl Reindexing {
     /// [`BagError::PartlyReindexed`] after it.
     pub fn save(self, progress: &mut dyn FnMut(u64) -> bool) -> Result<Reindexed, BagError> {
         let Self { path, files } = self;
-        let expected = files.iter().filter(|file| !file.summarized).count();
+        let expected = files.iter().filter(|file| is_wrong(file)).count();
         let (mut indexes, mut summarized) = (Vec::new(), Vec::new());
         for mut index in files {
-            if !index.summarized {
+            if is_wrong(&index) {
                 index = match summarize(&index.path, progress) {
                     Err(BagError::Interrupted { .. }) if !summarized.is_empty() => {
                         let summarized = summarized.len();
@@ -86,7 +90,7 @@ impl Reindexing {
             indexes.push(index);
         }
         indexes.sort_by_key(|index| index.times.unwrap_or((u64::MAX, u64::MAX)));
-        let bag = describe(&path, &indexes);
+        let bag = describe(&path, indexes);
         if path.is_dir() {
             metadata::write(&bag)?;
         }
@@ -94,11 +98,16 @@ impl Reindexing {
     }
 }
 
+/// Whether a file lacks a summary section, or says of its messages what is not so.
+fn is_wrong(file: &FileIndex) -> bool {
+    !file.summarized || file.contradictions().0.next().is_some()
+}
+
 /// Replaces a file by a copy with a summary section.
 fn summarize(file: &Path, progress: &mut Progress<'_>) -> Result<FileIndex, BagError> {
     let staged = Staged::replacing(file).map_err(BagError::io(file, "copying the file"))?;
     let copy = staged.path();
-    copy_file(file, &copy, progress)?;
+    copy_with_indexes(file, &copy, progress)?;
     // From the records of the copy, regardless of the old summary section.
     let mut index = finish_file(&copy, FileIndex::scan(&copy)?, OnFullDisk::Fail)?;
     staged.commit().map_err(BagError::io(file, "replacing the file"))?;
@@ -107,22 +116,7 @@ fn summarize(file: &Path, progress: &mut Progress<'_>) -> Result<FileIndex, BagE
     Ok(index)
 }
 
-fn copy_file(file: &Path, copy: &Path, progress: &mut Progress<'_>) -> Result<(), BagError> {
-    let failed = |reason| BagError::Io { path: copy.into(), action: "copying the file", reason };
-    let source = File::open(file).map_err(BagError::io(file, "opening the file"))?;
-    let mut target = File::create(copy).map_err(failed)?;
-    let permissions = source.metadata().map_err(failed)?.permissions();
-    target.set_permissions(permissions).map_err(failed)?;
-    loop {
-        match io::copy(&mut (&source).take(PROGRESS_STEP), &mut target).map_err(failed)? {
-            0 => return Ok(()),
-            copied if progress(copied) => {}
-            _ => return Err(BagError::Interrupted { path: file.into() }),
-        }
-    }
-}
-
-fn describe(path: &Path, indexes: &[FileIndex]) -> BagSummary {
+fn describe(path: &Path, mut indexes: Vec<FileIndex>) -> BagSummary {
     let stamp = |time: u64| Stamp(i64::try_from(time).unwrap_or(i64::MAX));
     let files: Vec<WrittenFile> = indexes
         .iter()
@@ -134,24 +128,16 @@ fn describe(path: &Path, indexes: &[FileIndex]) -> BagSummary {
             size: index.size,
         })
         .collect();
-    BagSummary::new(path.into(), files, topics(indexes), metadata::readable_custom_data(path))
-}
-
-fn topics(indexes: &[FileIndex]) -> Vec<WrittenTopic> {
-    let mut topics: Vec<WrittenTopic> = Vec::new();
-    let mut known: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-    for index in indexes {
-        for (id, channel) in &index.channels {
-            let messages = index.counts.get(id).copied().unwrap_or_default();
-            let same_name = known.entry(&channel.topic).or_default();
-            match same_name.iter().find(|&&topic| topics[topic].channel == *channel) {
-                Some(&topic) => topics[topic].messages += messages,
-                None => {
-                    same_name.push(topics.len());
-                    topics.push(WrittenTopic { messages, ..WrittenTopic::new(channel) });
-                }
-            }
-        }
+    // Everything is kept that the old metadata.yaml or the files say.
+    let is_ours = indexes.iter().all(FileIndex::is_written_by_eddy);
+    for (number, index) in indexes.iter_mut().enumerate() {
+        index.set_number(number);
     }
-    topics
+    let bag = BagReader::from_files(path, indexes, metadata::readable(path));
+    let distro = match bag.distro() {
+        "" if is_ours => OURS,
+        distro => distro,
+    };
+    let custom_data = bag.custom_data().clone();
+    BagSummary::new(path.into(), files, bag.written_topics(), custom_data, distro.to_owned())
 }

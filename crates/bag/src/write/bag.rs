@@ -19,9 +19,9 @@ use crate::{
         channel::Channel,
         custom_data::MESSAGES_NOT_RECORDED,
         layout, metadata,
-        summary::{BagSummary, WrittenFile, WrittenTopic},
+        summary::{BagSummary, OURS, WrittenFile, WrittenTopic},
     },
-    read::{auxiliary::AuxiliaryRecord, messages::BagMessage},
+    read::{auxiliary::AuxiliaryRecord, index::ChannelKey, messages::BagMessage},
 };
 use eddy_frames::Stamp;
 use eddy_messages::{QosProfile, TypeSupport, type_support};
@@ -49,6 +49,7 @@ pub struct BagWriter {
     /// Messages that were received and not passed to the writer.
     dropped: u64,
     custom_data: BTreeMap<String, String>,
+    distro: String,
     /// Whether the disk is full: the bag ends early.
     disk_full: bool,
     /// Where times of [`BagWriter::write_stamped`] count from.
@@ -78,6 +79,7 @@ impl BagWriter {
             lost: 0,
             dropped: 0,
             custom_data: BTreeMap::new(),
+            distro: OURS.to_owned(),
             disk_full: false,
             zero: None,
         })
@@ -96,6 +98,11 @@ impl BagWriter {
     /// The topics so far, in the order in which they were added.
     pub fn topics(&self) -> &[WrittenTopic] {
         &self.topics
+    }
+
+    /// Sets the distribution of ROS with which the messages were recorded.
+    pub(crate) fn set_distro(&mut self, distro: String) {
+        self.distro = distro;
     }
 
     /// Sets entries of `custom_data` in `metadata.yaml`.
@@ -344,7 +351,10 @@ impl BagWriter {
         if self.dropped + lost > 0 {
             custom_data.insert(MESSAGES_NOT_RECORDED.to_owned(), (self.dropped + lost).to_string());
         }
-        let summary = BagSummary { lost, ..BagSummary::new(directory, files, topics, custom_data) };
+        let summary = BagSummary {
+            lost,
+            ..BagSummary::new(directory, files, topics, custom_data, self.distro)
+        };
         metadata::write(&summary)?;
         Ok(summary)
     }
@@ -355,11 +365,12 @@ impl BagWriter {
 fn subtract_lost(
     topics: &mut [WrittenTopic],
     channels: &mut [(u16, u64)],
-    kept: &BTreeMap<u16, u64>,
+    kept: &BTreeMap<ChannelKey, u64>,
 ) -> u64 {
     let mut lost = 0;
     for (topic, (channel, written)) in topics.iter_mut().zip(channels) {
-        let missing = written.saturating_sub(kept.get(channel).copied().unwrap_or_default());
+        let missing = written
+            .saturating_sub(kept.get(&ChannelKey::from(*channel)).copied().unwrap_or_default());
         topic.messages -= missing;
         lost += missing;
         *written = 0;

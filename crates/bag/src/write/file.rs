@@ -23,7 +23,10 @@ use super::{
 use crate::{
     error::BagError,
     format::{channel::Channel, layout::ACTIVE, summary::WrittenFile},
-    read::{auxiliary::AuxiliaryRecord, index::FileIndex},
+    read::{
+        auxiliary::AuxiliaryRecord,
+        index::{ChannelKey, FileIndex},
+    },
 };
 use eddy_frames::Stamp;
 use eddy_settings::atomic;
@@ -235,7 +238,9 @@ pub(super) struct UnfinishedFile {
 impl UnfinishedFile {
     /// Finishes the file on a full disk, after the complete chunks that leave space for the summary section.
     /// Returns also the number of messages of each channel.
-    pub(super) fn finish_on_full_disk(self) -> Result<(WrittenFile, BTreeMap<u16, u64>), BagError> {
+    pub(super) fn finish_on_full_disk(
+        self,
+    ) -> Result<(WrittenFile, BTreeMap<ChannelKey, u64>), BagError> {
         let index = FileIndex::scan(&self.active)?;
         let index = finish::finish_file(&self.active, index, OnFullDisk::DropChunks)?;
         let stamp = |time: u64| Stamp(i64::try_from(time).unwrap_or(i64::MAX));

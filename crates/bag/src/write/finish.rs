@@ -97,16 +97,16 @@ fn ending(index: &FileIndex, auxiliary: &[(RecordHeader, AuxiliaryIndex)]) -> Ve
     // No checksum of the data section, which would have to be read again; each chunk has its own.
     record(&mut end, op::DATA_END, &DataEnd { data_section_crc: 0 });
     let summary_start = index.data_end + end.len() as u64;
-    for (&id, schema) in &index.schemas {
+    for (&id, schema) in &index.declared.schemas {
         schema_record(&mut end, id, schema);
     }
-    for (&id, channel) in &index.channels {
+    for (&id, channel) in &index.declared.channels {
         let known = |(_, schema): &(_, &std::sync::Arc<Schema>)| {
             channel.schema.as_ref().is_some_and(|wanted| wanted == *schema)
         };
         let record_of_channel = records::Channel {
             id,
-            schema_id: index.schemas.iter().find(known).map_or(0, |(&id, _)| id),
+            schema_id: index.declared.schemas.iter().find(known).map_or(0, |(&id, _)| id),
             topic: channel.topic.clone(),
             message_encoding: channel.encoding.clone(),
             metadata: channel.metadata.clone(),
@@ -116,16 +116,21 @@ fn ending(index: &FileIndex, auxiliary: &[(RecordHeader, AuxiliaryIndex)]) -> Ve
     let attachments =
         index.auxiliary.iter().filter(|record| record.opcode == op::ATTACHMENT).count();
     let (message_start_time, message_end_time) = index.times.unwrap_or_default();
+    // Ids with several contents are rejected before.
+    let counts = index
+        .counts
+        .iter()
+        .filter_map(|(&key, &messages)| Some((u16::try_from(key).ok()?, messages)));
     let statistics = Statistics {
         message_count: index.messages(),
-        schema_count: index.schemas.len() as u16,
-        channel_count: index.channels.len() as u32,
+        schema_count: index.declared.schemas.len() as u16,
+        channel_count: index.declared.channels.len() as u32,
         attachment_count: attachments as u32,
         metadata_count: (index.auxiliary.len() - attachments) as u32,
         chunk_count: index.chunks.len() as u32,
         message_start_time,
         message_end_time,
-        channel_message_counts: index.counts.clone(),
+        channel_message_counts: counts.collect(),
     };
     record(&mut end, op::STATISTICS, &statistics);
     for chunk in &index.chunks {
