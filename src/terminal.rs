@@ -1,6 +1,7 @@
 //! Standard output and standard error of the program.
 
 use std::{
+    borrow::Cow,
     fmt,
     io::{self, ErrorKind, IsTerminal as _, Write},
     sync::{
@@ -28,12 +29,9 @@ macro_rules! print {
 
 /// Prints an error or a warning on standard error, whether or not somebody reads it.
 macro_rules! eprintln {
-    ($($arguments:tt)*) => {{
-        let _ = std::io::Write::write_fmt(
-            &mut std::io::stderr().lock(),
-            format_args!("{}\n", format_args!($($arguments)*)),
-        );
-    }};
+    ($($arguments:tt)*) => {
+        $crate::terminal::print_error(format_args!("{}\n", format_args!($($arguments)*)))
+    };
 }
 
 /// Returns to the first column and clears the line.
@@ -46,11 +44,43 @@ static CLOSED: AtomicBool = AtomicBool::new(false);
 /// The first failure of standard output for another reason.
 static FAILURE: OnceLock<io::Error> = OnceLock::new();
 
+/// Text as it may be shown on a terminal: control characters, which names in a bag or in a graph may have, are escaped as in JSON.
+/// Line breaks and tabs stay.
+fn printable(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| c.is_control() && !matches!(c, '\n' | '\t'))
+}
+
+/// Text as it may be shown on one line: as [`print`] shows it, and with line breaks and tabs escaped.
+pub(crate) fn on_one_line(text: &str) -> Cow<'_, str> {
+    escaped(text, char::is_control)
+}
+
+fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_escaped) {
+        return text.into();
+    }
+    let mut shown = String::with_capacity(text.len() + 5);
+    for c in text.chars() {
+        match is_escaped(c) {
+            true => shown.push_str(&format!("\\u{:04x}", u32::from(c))),
+            false => shown.push(c),
+        }
+    }
+    shown.into()
+}
+
+/// Writes to standard error, whether or not somebody reads it.
+pub(crate) fn print_error(text: fmt::Arguments<'_>) {
+    let _ = io::stderr().lock().write_all(printable(&text.to_string()).as_bytes());
+}
+
 /// Writes whole lines to standard output, above the status line. Failures are remembered.
 pub(crate) fn print(text: fmt::Arguments<'_>) {
+    let text = text.to_string();
+    let text = printable(&text);
     let status = lock();
     if status.is_empty() {
-        if let Err(error) = io::stdout().lock().write_fmt(text) {
+        if let Err(error) = io::stdout().lock().write_all(text.as_bytes()) {
             failed(error);
         }
     } else {
@@ -109,8 +139,8 @@ pub(crate) fn columns() -> usize {
 /// logged meanwhile appear above it.
 pub(crate) fn show_status(line: &str) {
     let mut status = lock();
-    line.clone_into(&mut status);
-    write(format_args!("{CLEAR}{line}"));
+    *status = on_one_line(line).into_owned();
+    write(format_args!("{CLEAR}{status}"));
 }
 
 /// Removes the status line.
@@ -157,6 +187,23 @@ pub(crate) fn fit(parts: &[(u8, String)], separator: &str, columns: usize) -> St
         let least = kept.iter().enumerate().max_by_key(|(place, (rank, _))| (*rank, *place));
         if let Some((place, _)) = least {
             kept.remove(place);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_are_shown_and_not_obeyed() {
+        for (text, shown, line) in [
+            ("/scan\t1\n", "/scan\t1\n", "/scan\\u00091\\u000a"),
+            ("/\u{1b}[31mred", "/\\u001b[31mred", "/\\u001b[31mred"),
+            ("\r\u{7f}\u{9b}2J", "\\u000d\\u007f\\u009b2J", "\\u000d\\u007f\\u009b2J"),
+            ("/größe", "/größe", "/größe"),
+        ] {
+            assert_eq!((&*printable(text), &*on_one_line(text)), (shown, line));
         }
     }
 }

@@ -52,7 +52,7 @@ pub enum BagCommand {
     /// Same as `export --cloud`.
     #[command(hide = true)]
     Cloud(CloudArgs),
-    /// Rewrite metadata.yaml, and add missing summaries to files, from the messages.
+    /// Rewrite metadata.yaml, and missing or wrong summaries and indexes of files, from the messages.
     Reindex {
         /// Bag: a directory with MCAP files, or one of them.
         bag: PathBuf,
@@ -97,8 +97,8 @@ pub struct RecoverArgs {
 pub struct CutArgs {
     /// Bag: a directory with metadata.yaml, or an MCAP file.
     pub bag: PathBuf,
-    /// Start time: recorded seconds since the first message, such as 2.5, or a log time, such as 1700000000000000000ns
-    /// [default: the first message].
+    /// Start time: recorded seconds since the first message, such as 2.5, or a log time as `eddy bag info` prints it, such as
+    /// 2023-11-14T22:13:20Z, 1700000000.25 or 1700000000250000000ns [default: the first message].
     #[arg(long, value_name = "TIME")]
     pub start: Option<BagTime>,
     /// End time (exclusive), in the same format as --start [default: after the last message].

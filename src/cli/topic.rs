@@ -1,6 +1,6 @@
 //! `eddy topic`: its subcommands.
 
-use std::num::NonZeroUsize;
+use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Subcommand};
 
@@ -58,6 +58,15 @@ pub struct TopicEchoArgs {
     /// Maximum number of list items to print; 0 prints all.
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub truncate: usize,
+    /// Installations of ROS 2 with definitions of message types, separated by colons.
+    #[arg(
+        long,
+        value_name = "PATHS",
+        env = "AMENT_PREFIX_PATH",
+        hide_env_values = true,
+        value_delimiter = ':'
+    )]
+    pub ament_prefix_path: Vec<PathBuf>,
 }
 
 /// `eddy topic hz`

@@ -9,7 +9,7 @@ use std::{
 
 use eddy_bag::{BagReader, BagWriter, Split, WriterOptions};
 use eddy_frames::{Frame, Stamp};
-use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, TypeSupport};
 use mcap::records::MessageHeader;
 
 use crate::{
@@ -35,7 +35,36 @@ fn a_cut_keeps_the_start_and_leaves_out_the_end() {
     assert_eq!(cut("b", &["--start", "1100000000ns", "--duration", "0.15"]), [1100, 1150, 1200]);
     assert_eq!(cut("c", &["--start", "2.9"]), [3900, 3950]);
     assert_eq!(cut("d", &["--end", "1050000001ns"]), [1000, 1050]);
+    let dates = ["--start", "1970-01-01T00:00:01.1Z", "--end", "1970-01-01T00:00:01.25Z"];
+    assert_eq!(cut("e", &dates), [1100, 1150, 1200]);
     assert_eq!(findings(&folder.join("a")), [""; 0]);
+}
+
+#[test]
+fn names_in_a_bag_are_shown_and_not_obeyed_by_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("odd");
+    let mut bag = BagWriter::create(&path, WriterOptions::default()).unwrap();
+    let foreign = TypeSupport::foreign("acme_msgs/msg/\u{9b}2J", "");
+    let topic = bag.offered_topic("/\u{1b}[31mred\nodd: 1 message, no problems", &foreign, &[]);
+    bag.write(topic.unwrap(), Stamp(1), Stamp(1), &[0, 1, 0, 0]).unwrap();
+    let word = bag.topic("/\u{1b}[2J", RosString::TYPE).unwrap();
+    bag.write(word, Stamp(1), Stamp(1), &[0, 1, 0, 0, 9]).unwrap();
+    bag.finish().unwrap();
+    let bag = path.to_str().unwrap();
+    for arguments in [
+        vec!["bag", "info", bag],
+        vec!["bag", "check", bag],
+        vec!["bag", "filter", bag, "--topics", "/gone", "-o", "x"],
+    ] {
+        let output = eddy().args(&arguments).output().unwrap();
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        assert!(!said.contains(|c: char| c.is_control() && c != '\n'), "{said:?}");
+        assert!(said.contains("/\\u001b["), "{arguments:?}: {said}");
+        if arguments[1] != "filter" {
+            assert!(!said.lines().any(|line| line.starts_with("odd: 1 message")), "{said}");
+        }
+    }
 }
 
 #[test]

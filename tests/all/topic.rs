@@ -1,5 +1,11 @@
 //! `eddy topic`: looking at topics without ROS.
 
+use std::fs;
+
+use eddy_bag::{BagWriter, WriterOptions};
+use eddy_frames::Stamp;
+use eddy_messages::{QosProfile, TypeSupport};
+
 use crate::support::{Process, fail, succeed, talking_eddy, unique};
 
 /// The sample bag in a loop, as `prefix`, on a transport.
@@ -63,6 +69,38 @@ fn messages_are_printed_as_yaml_with_long_lists_cut() {
             rest = &rest[place + expected.len()..];
         }
     }
+}
+
+#[test]
+fn definitions_of_printed_types_are_found_in_installations_as_for_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let msg = folder.path().join("share/acme_msgs/msg");
+    fs::create_dir_all(&msg).unwrap();
+    fs::write(msg.join("Probe.msg"), "float64 depth\n").unwrap();
+    let bag = folder.path().join("bag");
+    let probe = TypeSupport::from_schema("acme_msgs/msg/Probe", "float64 depth\n").unwrap();
+    let mut writer = BagWriter::create(&bag, WriterOptions::default()).unwrap();
+    let topic = writer.offered_topic("/probe", &probe, &[QosProfile::default()]).unwrap();
+    let message = [&[0, 1, 0, 0][..], &1.5_f64.to_le_bytes()].concat();
+    for time in 0..20 {
+        let time = Stamp(time * 50_000_000);
+        writer.write(topic, time, time, &message).unwrap();
+    }
+    writer.finish().unwrap();
+    let link = format!("/{}/probe", unique("probe"));
+    let mut command = talking_eddy();
+    command.args(["replay", bag.to_str().unwrap(), "--loop", "--reliability", "drop"]);
+    command.args(["--to", "shm", "--remap", &format!("/probe:={link}")]);
+    let _replay = Process::start_until(&mut command, "publishing");
+    let echo = |prefix: &str| {
+        let arguments = ["topic", "echo", &format!("shm:{link}"), "--once"];
+        let output =
+            talking_eddy().args(arguments).env("AMENT_PREFIX_PATH", prefix).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert_eq!(echo(folder.path().to_str().unwrap()), "depth: 1.5\n---\n");
+    assert_eq!(echo("/nowhere"), "# 12 bytes of acme_msgs/msg/Probe\n---\n");
 }
 
 #[test]

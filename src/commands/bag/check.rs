@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::bail;
 
 use super::survey;
-use crate::commands::counted;
+use crate::{commands::counted, terminal::on_one_line};
 use eddy_bag::{BagReader, Survey};
 
 /// Prints all problems of a bag.
@@ -14,7 +14,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     let mut survey = survey(&bag, quiet);
     survey.check_files(&bag);
     for finding in &survey.findings {
-        println!("{finding}");
+        println!("{}", on_one_line(&finding.to_string()));
     }
     if survey.further_findings > 0 {
         println!("... and {} more", survey.further_findings);
@@ -35,7 +35,8 @@ fn print_restarts(bag: &BagReader, survey: &Survey) {
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
         for (stream, found) in found.streams.iter().filter(|(_, stream)| stream.restarts > 0) {
             let times = counted(found.restarts, "time");
-            println!("topic {}, stream {stream}: restarts {times}, as in a loop", topic.name);
+            let name = on_one_line(&topic.name);
+            println!("topic {name}, stream {stream}: restarts {times}, as in a loop");
         }
     }
 }

@@ -8,7 +8,7 @@ use std::{
 use serde::Serialize;
 
 use super::survey;
-use crate::terminal;
+use crate::terminal::{self, on_one_line};
 use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
 use eddy_evaluation::page::Table;
 use eddy_frames::{Stamp, date::Utc, decimal};
@@ -49,7 +49,7 @@ fn print(bag: &BagReader, survey: &Survey) {
         }
     }
     for (key, value) in bag.custom_data() {
-        println!("custom data  {}: {}", key.escape_debug(), value.escape_debug());
+        println!("custom data  {}: {}", on_one_line(key), on_one_line(value));
     }
     let titles =
         ["topic", "messages", "rate (1/s)", "size", "streams", "particles", "dt (s)", "type"];
@@ -58,13 +58,15 @@ fn print(bag: &BagReader, survey: &Survey) {
         let rate = found.rate().map_or("-".to_owned(), |rate| format!("{rate:.2}"));
         let [streams, particles, dt] = streams(found);
         let (count, size) = (topic.message_count.to_string(), bytes(found.bytes));
-        let cells = [count, rate, size, streams, particles, dt, topic.type_name.clone()];
-        table.row(topic.name.as_str(), cells);
+        let type_name = on_one_line(&topic.type_name).into_owned();
+        let cells = [count, rate, size, streams, particles, dt, type_name];
+        table.row(&*on_one_line(&topic.name), cells);
     }
     println!("{}", table.plain(terminal::columns()));
     println!("sizes of topics are those of the messages without compression");
     for topic in bag.topics().iter().filter(|topic| topic.schema.is_empty()) {
-        println!("no definition: {} ({})", topic.name, topic.type_name);
+        let of = on_one_line(&topic.type_name);
+        println!("no definition: {} ({of})", on_one_line(&topic.name));
     }
     if bag.is_unfinished() {
         println!("unfinished: the bag is still being written, or the recorder was killed");

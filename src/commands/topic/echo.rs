@@ -11,14 +11,14 @@ use anyhow::Context;
 
 use super::{MAX_WAIT, find, print};
 use crate::{cli::TopicEchoArgs, commands::Interrupt};
+use eddy_bag::QosOverrides;
 use eddy_node::{
     FrameQueue,
+    recorder::{OpenTopic, TopicOpener},
     topics::{MAX_FIND_TIME, message_text},
 };
 use eddy_transport::{Reliability, Subscriber, TransportError, Transports};
 
-/// How long the publisher of a type may take to tell its definition.
-const DESCRIPTION_TIMEOUT: Duration = Duration::from_secs(2);
 /// Maximum number of messages waiting to be printed; the oldest are dropped.
 const QUEUE_MESSAGES: usize = 64;
 
@@ -30,16 +30,12 @@ pub(super) fn run(
     let Some(topic) = find(&args.link, transports, MAX_FIND_TIME, interrupt)? else {
         return Ok(());
     };
-    let known = topic.type_support();
-    let mut subscriber = transports
-        .subscriber_of(&topic.link, &known)
-        .with_context(|| format!("cannot subscribe to {}", topic.link))?;
-    // A type that is not built in is asked for.
-    let described = match known.schema.is_empty() {
-        true => transports.described_type(&topic, DESCRIPTION_TIMEOUT)?,
-        false => None,
-    };
-    let support = described.unwrap_or(known);
+    let link = topic.link.clone();
+    // Definitions are found as for a recording.
+    let opener =
+        TopicOpener::new(transports.clone(), args.ament_prefix_path.clone(), QosOverrides::new());
+    let OpenTopic { support, mut subscriber, .. } =
+        opener.open(topic).with_context(|| format!("cannot subscribe to {link}"))?;
     let queue = FrameQueue::new(QUEUE_MESSAGES, Reliability::Drop);
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {

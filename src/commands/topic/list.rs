@@ -6,9 +6,10 @@ use super::print;
 use crate::{
     cli::TopicListArgs,
     commands::{Interrupt, leaves_the_process},
+    terminal::on_one_line,
 };
 use eddy_frames::clock::Clock;
-use eddy_transport::{Link, Transports};
+use eddy_transport::{Link, SeenTopic, Transports};
 
 /// Interval between searches.
 const SEARCH_INTERVAL: Duration = Duration::from_millis(50);
@@ -46,9 +47,11 @@ pub(super) fn run(
             args.wait
         );
     }
-    let width = topics.iter().map(|topic| topic.link.to_string().len()).max().unwrap_or(0);
-    for topic in topics {
-        if !print(&format!("{:width$}  {}", topic.link.to_string(), topic.type_name)) {
+    let link = |topic: &SeenTopic| on_one_line(&topic.link.to_string()).into_owned();
+    let width = topics.iter().map(|topic| link(topic).chars().count()).max().unwrap_or(0);
+    for topic in &topics {
+        let type_name = on_one_line(&topic.type_name);
+        if !print(&format!("{:width$}  {type_name}", link(topic))) {
             break;
         }
     }

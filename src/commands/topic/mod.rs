@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::{Interrupt, leaves_the_process};
 use crate::{
     cli::{TopicArgs, TopicCommand},
-    terminal,
+    terminal::{self, on_one_line},
 };
 use eddy_node::topics::{MAX_FIND_TIME, find_topic};
 use eddy_transport::{Link, SeenTopic, TransportOptions, Transports};
@@ -30,7 +30,7 @@ pub fn run(args: TopicArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
             let found = find(&link, &transports, MAX_FIND_TIME, interrupt)?;
             if let Some(SeenTopic { type_name, hash, .. }) = found {
                 let hash = hash.as_deref().unwrap_or("unknown");
-                println!("Type: {type_name}\nType hash: {hash}");
+                println!("Type: {}\nType hash: {}", on_one_line(&type_name), on_one_line(hash));
                 if let Some(memory) = transports.shared_memory(&link, &type_name)? {
                     println!("Shared memory: {memory}");
                 }

@@ -110,8 +110,8 @@ impl Definitions {
             Err(error) => reasons.push(error.to_string()),
         }
         tracing::warn!(
-            "{link}: no definition of {type_name} ({}); the topic is recorded without, and other programs may not be \
-             able to decode it. AMENT_PREFIX_PATH may name an installation with this type",
+            "{link}: no definition of {type_name} ({}), without which its messages are bytes that cannot be decoded. \
+             AMENT_PREFIX_PATH may name an installation with this type",
             reasons.join("; ")
         );
         TypeSupport::foreign(type_name, hash)
