@@ -21,6 +21,9 @@ const EDGES: [u64; 14] = [
     u64::MAX,
 ];
 
+/// How MCAP files begin.
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
 /// Makes inputs of inputs.
 pub struct Changer {
     random: ChaCha8Rng,
@@ -54,7 +57,7 @@ impl Changer {
         }
         let at = self.random.random_range(0..input.len());
         let length = self.random.random_range(1..=(input.len() - at).min(64));
-        match self.random.random_range(0..9) {
+        match self.random.random_range(0..10) {
             0 => input[at] ^= 1 << self.random.random_range(0..8),
             1 => input[at] = self.random.random(),
             2 | 3 => self.overwrite(input, at),
@@ -69,6 +72,7 @@ impl Changer {
                 let filling: u8 = self.random.random();
                 input[at..at + length].fill(filling);
             }
+            8 => self.double_record(input),
             _ => {
                 let other = self.some_input().to_vec();
                 let from = self.random.random_range(0..=other.len());
@@ -76,6 +80,29 @@ impl Changer {
                 input.extend_from_slice(&other[from..]);
             }
         }
+    }
+
+    /// Says something twice: copies a record of an MCAP file to the start of another one, half of the time with another byte.
+    fn double_record(&mut self, input: &mut Vec<u8>) {
+        let mut starts = vec![MAGIC.len()];
+        while input.starts_with(MAGIC)
+            && let Some(&start) = starts.last()
+            && let Some(length) = input.get(start + 1..start + 9)
+            && let Ok(length) = length.try_into().map(u64::from_le_bytes)
+            && let Some(end) = (start as u64 + 9).checked_add(length)
+            && end <= input.len() as u64
+        {
+            starts.push(end as usize);
+        }
+        let Some(last) = starts.len().checked_sub(2) else { return };
+        let which = self.random.random_range(0..=last);
+        let mut record = input[starts[which]..starts[which + 1]].to_vec();
+        if self.random.random_bool(0.5) && record.len() > 9 {
+            let at = self.random.random_range(9..record.len());
+            record[at] = self.random.random();
+        }
+        let into = starts[self.random.random_range(0..=last)];
+        drop(input.splice(into..into, record));
     }
 
     /// Puts a number at which code errs where a number may be.

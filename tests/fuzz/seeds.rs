@@ -100,6 +100,45 @@ fn bags() {
     let bare = mcap::WriteOptions::new().emit_summary_records(false).chunk_size(Some(100));
     keep("mcap", "bare", foreign(&folder.path().join("bare"), bare));
     keep("mcap", "record_that_claims_too_much", record_that_claims_too_much());
+    keep("mcap", "id_declared_twice", id_declared_twice());
+    let whole = fs::read(corpus("mcap").join("none")).unwrap();
+    // Chunk index, chunk and message index, each with another time (MCAP specification, "Records").
+    for (name, opcode, field) in [
+        ("chunk_index_that_ends_too_early", 8, 8),
+        ("chunk_that_begins_too_late", 6, 0),
+        ("message_index_with_another_time", 7, 6),
+    ] {
+        let mut bytes = whole.clone();
+        let body = records(&whole).into_iter().find(|(found, _)| *found == opcode).unwrap().1;
+        bytes[body + field..body + field + 8].copy_from_slice(&1_u64.to_le_bytes());
+        keep("mcap", name, bytes);
+    }
+}
+
+/// Opcode and start of the body of each record of a file, without those in chunks.
+fn records(bytes: &[u8]) -> Vec<(u8, usize)> {
+    let (mut records, mut start) = (Vec::new(), 8);
+    while let Some(length) = bytes.get(start + 1..start + 9) {
+        records.push((bytes[start], start + 9));
+        start += 9 + u64::from_le_bytes(length.try_into().unwrap()) as usize;
+    }
+    records
+}
+
+/// A file without chunks that declares a channel as two topics, with a message each.
+fn id_declared_twice() -> Vec<u8> {
+    let record = |opcode: u8, body: &[u8]| {
+        [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+    };
+    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+    let channel = |topic: &str| {
+        record(4, &[&[1, 0, 0, 0][..], &text(topic), &text("json"), &[0; 4]].concat())
+    };
+    let message = record(5, &[&[1, 0][..], &[0; 20], b"1"].concat());
+    let parts = [channel("/left"), message.clone(), channel("/right"), message];
+    let ends = [record(15, &[0; 4]), record(2, &[0; 20])].concat();
+    let magic = &b"\x89MCAP0\r\n"[..];
+    [magic, &record(1, &[0; 8]), &parts.concat(), &ends, magic].concat()
 }
 
 /// A file with a chunk of nine bytes, in which a record says that it is 512 MiB long.

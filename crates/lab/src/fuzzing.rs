@@ -13,7 +13,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use eddy_bag::{
     BagReader, CopyOptions, Recovery, Reindexing, Selection, Survey, WriterOptions, extract,
 };
-use eddy_frames::Frame;
+use eddy_frames::{Frame, Stamp};
 use eddy_inference::{
     checkpoint::{Architecture, Checkpoint},
     engine::Surrogate,
@@ -114,7 +114,8 @@ fn bag(bytes: &[u8]) {
     let file = at("input.mcap");
     fs::write(&file, bytes).expect("the folder can be written to");
     if let Ok(bag) = BagReader::open(&file) {
-        let read = bag.messages().filter(Result::is_ok).count();
+        let times: Vec<_> = bag.messages().flatten().map(|message| message.log_time).collect();
+        let read = times.len();
         for topic in bag.topics() {
             if let Ok(frames) = bag.frames(&topic.name) {
                 frames.for_each(drop);
@@ -122,6 +123,18 @@ fn bag(bytes: &[u8]) {
         }
         let mut survey = Survey::of(&bag, |_| ());
         survey.check_files(&bag);
+        if let Some(&middle) = times.get(read / 2) {
+            let count = |from, until| {
+                let part = Selection { topics: None, from, until };
+                bag.select(&part).flatten().count()
+            };
+            let after = Some(Stamp(middle.0.saturating_add(1)));
+            let parts = count(None, Some(middle)) + count(after, None);
+            assert!(
+                parts == read || middle == Stamp(i64::MAX) || survey.finding_count() > 0,
+                "messages are lost without a finding: {parts} of {read}"
+            );
+        }
         let on_message: &mut dyn FnMut() -> bool = &mut || true;
         let options = CopyOptions {
             writer: WriterOptions::default(),
