@@ -56,7 +56,8 @@ impl FileIndex {
         if !MAGIC.starts_with(&magic) {
             return Err(not_mcap(path, magic, &mut reader));
         }
-        let (mut by_summary, mut declared) = (None, Declarations::default());
+        let (mut by_summary, mut is_confirmed) = (None, false);
+        let mut declared = Declarations::default();
         let start = readable(records::summary_start(&mut reader, size)).map_err(failed)?.flatten();
         if let Some(start) = start {
             let mut index = Self::new(path, number, file.clone());
@@ -64,24 +65,25 @@ impl FileIndex {
             let found = readable(index.read_summary(&mut records, start)).map_err(failed)?;
             // The scan keeps the channels: the start of the file, where they are declared, may be damaged.
             declared = index.declared.clone();
-            by_summary = (found == Some(true)).then_some(index);
-            if source == Source::Summary
-                && let Some(index) = by_summary
-            {
+            is_confirmed = found == Some(true);
+            if is_confirmed && source == Source::Summary {
                 if !progress(size) {
                     return Err(BagError::Interrupted { path: path.into() });
                 }
                 return Ok(index);
             }
+            by_summary = index.summarized.then_some(index);
             reader = file.reader().map_err(failed)?;
         }
         let records = Records::new(reader, size, size.min(MAGIC.len() as u64));
-        let summarized = by_summary.is_some();
-        let index = Self { summarized, ..Self::new(path, number, file) };
+        let index = Self { summarized: is_confirmed, ..Self::new(path, number, file) };
         let index = index.scan_records(records, declared, progress)?;
-        // Damage between the chunks hides some of them from a scan.
+        // Damage between the chunks hides some of them from a scan. What loses messages is not preferred.
         let is_damaged = index.errors().next().is_some();
-        Ok(by_summary.filter(|_| is_damaged).unwrap_or(index))
+        let finds_more = |by_summary: &Self| {
+            is_damaged && (is_confirmed || by_summary.messages() > index.messages())
+        };
+        Ok(by_summary.filter(finds_more).unwrap_or(index))
     }
 
     /// Indexes a file by a scan, without its summary section.
@@ -101,7 +103,7 @@ impl FileIndex {
 pub(crate) enum Source {
     /// From the summary section, if the message indexes confirm it, else from a scan.
     Summary,
-    /// From a scan of all records, unless that meets damage and the summary section is confirmed.
+    /// From a scan of all records, unless that meets damage and the summary section finds more.
     Scan,
 }
 
