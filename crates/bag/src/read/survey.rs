@@ -13,27 +13,17 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-<<<<<<< HEAD
-use super::{contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT};
+use super::{
+    agreement, contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT,
+};
 use crate::{
     error::{BagError, in_stream},
-    format::metadata,
+    format::channel::{Channel, ROS2MSG},
 };
 use eddy_frames::{Domain, Frame, Stamp, decimal};
 use eddy_messages::{
-    BadFrame, Clock, DiagnosticArray, FrameCdr, Message, ParticleFrame, PredictionStatus,
-    RosString, cdr, type_support,
-=======
-use super::{
-    agreement, contents::TopicInfo, messages::BagMessage, reader::BagReader, records::SIZE_LIMIT,
->>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
+    BadFrame, FrameCdr, Message, ParticleFrame, TypeSupport, cdr, dynamic, type_support,
 };
-use crate::{
-    error::BagError,
-    format::channel::{Channel, ROS2MSG},
-};
-use eddy_frames::{Frame, Stamp, decimal};
-use eddy_messages::{FrameCdr, Message, ParticleFrame, TypeSupport, dynamic, type_support};
 
 /// Maximum number of groups of findings; findings beyond them are only counted.
 const MAX_FINDING_GROUPS: usize = 50;
@@ -114,13 +104,9 @@ impl TopicSurvey {
 }
 
 impl Survey {
-<<<<<<< HEAD
-    /// Reads every message and checks chunk checksums, CDR, whether every frame is valid and plausible, sequences and stamps of every
-    /// stream, type hashes and message counts. Calls `progress` with the number of messages read so far.
-=======
-    /// Reads every message and checks chunk checksums, CDR by the definition of the type, finite numbers, sequences and stamps of
-    /// every stream, type hashes and versions, and what `metadata.yaml` says. Calls `progress` with the number of messages read so far.
->>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
+    /// Reads every message and checks chunk checksums, CDR by the definition of the type, whether every frame is valid and plausible,
+    /// sequences and stamps of every stream, type hashes and versions, and what `metadata.yaml` says. Calls `progress` with the number
+    /// of messages read so far.
     ///
     /// On topics whose name ends in `prediction` sequence numbers may repeat: every observed frame may be
     /// followed by several predictions.
@@ -237,21 +223,13 @@ impl Survey {
                     };
                     checked.map_err(BadFrame::from)
                 }
-<<<<<<< HEAD
                 Err(error) => Err(error),
             }
             .map_err(|reason| format!("{}: {reason}", in_stream(cdr::place_of_frame(data)))),
-            PredictionStatus::TYPE => check_cdr::<PredictionStatus>(data),
-            DiagnosticArray::TYPE => check_cdr::<DiagnosticArray>(data),
-            Clock::TYPE => check_cdr::<Clock>(data),
-            RosString::TYPE => check_cdr::<RosString>(data),
-            _ => Ok(()),
-=======
-                Err(error) => Err(error.to_string()),
-            },
-            (_, Some(support)) => dynamic::check(support, data).map_err(|error| error.to_string()),
+            (_, Some(support)) => {
+                dynamic::check(support, data).map_err(|error| format!(": {error}"))
+            }
             (_, None) => Ok(()),
->>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
         };
         if let Err(reason) = decoded {
             let topic = &message.topic;
@@ -287,11 +265,11 @@ impl Survey {
     }
 }
 
-<<<<<<< HEAD
 /// Whether a topic holds predictions, of which every observed frame may have several.
 fn is_prediction(topic: &str) -> bool {
     topic.ends_with("prediction")
-=======
+}
+
 /// The type that the messages of a channel are decoded with, as `eddy topic echo` does: as the bag defines it, else a built-in one of
 /// the same version. `None` where there is none, and for messages that are not CDR or have wide strings.
 fn decoder_of(channel: &Channel) -> Option<TypeSupport> {
@@ -305,7 +283,6 @@ fn decoder_of(channel: &Channel) -> Option<TypeSupport> {
         }
     };
     defined.filter(|support| channel.encoding == "cdr" && dynamic::is_decodable(support))
->>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
 }
 
 /// A description without its numbers, which is the same for findings of one kind.
@@ -361,13 +338,6 @@ impl StreamSurvey {
     }
 }
 
-<<<<<<< HEAD
-fn check_cdr<M: Message>(bytes: &[u8]) -> Result<(), String> {
-    cdr::decode::<M>(bytes).map(drop).map_err(|error| format!(": {error}"))
-}
-
-=======
->>>>>>> 9bd1b6a6 (bag: what a file says twice is compared with its messages, metadata.yaml counts and nothing of it is lost)
 /// Checks the checksums of the data and summary sections of a file.
 fn checksums(path: &Path) -> Result<(), McapError> {
     let mut file = File::open(path)?.reader()?;
