@@ -83,13 +83,13 @@ impl TypeSupport {
     /// # Errors
     /// As [`TypeSupport::from_texts`].
     pub fn from_schema(name: &str, schema: &str) -> Result<Self, InvalidDefinition> {
-        let texts: BTreeMap<_, _> = parts(schema)
+        let mut texts: BTreeMap<_, _> = parts(schema)
             .into_iter()
             .map(|(part, text)| (part.map_or_else(|| name.to_owned(), full_name), text))
             .collect();
         if texts.is_empty() {
-            let (type_name, of) = (name.to_owned(), name.to_owned());
-            return Err(InvalidDefinition::Missing { type_name, of });
+            // A type without fields.
+            texts.insert(name.to_owned(), "");
         }
         let text_of = |of: &str| texts.get(of).copied().or_else(|| library::text_of(of));
         Self::from_texts(name, &|of| text_of(of).map(Cow::Borrowed))
@@ -259,7 +259,15 @@ mod tests {
         let expected =
             "definition of acme_msgs/msg/Other: found none, expected one for acme_msgs/msg/Probe";
         assert_eq!(error.to_string(), expected);
-        assert!(TypeSupport::from_schema("acme_msgs/msg/Probe", "").is_err());
+    }
+
+    #[test]
+    fn an_empty_text_is_the_definition_of_a_type_without_fields() {
+        const EMPTY: &str = "std_msgs/msg/Empty";
+        for text in ["", "\n", "# Nothing.\n"] {
+            let support = TypeSupport::from_schema(EMPTY, text).unwrap();
+            assert_eq!(support.hash, type_support(EMPTY).unwrap().hash, "{text:?}");
+        }
     }
 
     #[test]
