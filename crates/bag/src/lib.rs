@@ -18,7 +18,8 @@ mod repair;
 mod write;
 
 pub use edit::{
-    BagTime, CopyOptions, InvalidBagTime, TopicFilter, clouds, extract, merge, topics_without_cloud,
+    BagTime, CopyOptions, InvalidBagTime, MergedBag, TopicFilter, clouds, extract, merge,
+    topics_without_cloud,
 };
 pub use error::BagError;
 pub use format::{
@@ -37,6 +38,7 @@ pub use read::{
 pub use repair::{Recovered, Recovery, Reindexed, Reindexing};
 pub use write::{
     bag::{BagWriter, TopicId},
+    file::is_being_written,
     options::{Compression, Split, WriterOptions},
 };
 

@@ -3,11 +3,12 @@
 use std::{
     collections::BTreeSet,
     path::{Path, PathBuf},
+    process::ExitCode,
 };
 
 use anyhow::{Context, ensure};
 
-use super::{export::stem, report, watch, writer_options};
+use super::{LOSSY, export::stem, report, watch, writer_options};
 use crate::{
     cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
     commands::{
@@ -45,9 +46,18 @@ pub fn cut(args: &CutArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 }
 
 /// Copies several bags into one.
-pub fn merge(args: &MergeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+pub fn merge(args: &MergeArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {
     let bags = args.bags.iter().map(|bag| open(bag)).collect::<anyhow::Result<Vec<_>>>()?;
-    copy(&bags, &args.new, quiet, interrupt, |output, options| merged(&bags, output, options))
+    let mut left_out = Vec::new();
+    copy(&bags, &args.new, quiet, interrupt, |output, options| {
+        let merged = merged(&bags, output, options)?;
+        left_out = merged.left_out;
+        Ok(merged.summary)
+    })?;
+    for reason in &left_out {
+        println!("left out: {reason}");
+    }
+    Ok(if left_out.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(LOSSY) })
 }
 
 /// Copies some topics of a bag.

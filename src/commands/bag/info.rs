@@ -64,7 +64,7 @@ fn print(bag: &BagReader, survey: &Survey) {
     }
     println!("{}", table.plain(terminal::columns()));
     println!("sizes of topics are those of the messages without compression");
-    for topic in bag.topics().iter().filter(|topic| topic.schema.is_empty()) {
+    for topic in bag.topics().iter().filter(|topic| !topic.has_definition()) {
         let of = on_one_line(&topic.type_name);
         println!("no definition: {} ({of})", on_one_line(&topic.name));
     }

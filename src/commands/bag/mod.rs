@@ -18,6 +18,8 @@ use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
 use eddy_exchange::{ExchangeError, FrameSelection, Streams};
 
+/// Exit code when something of the old bags is missing in the new one, as in `mcap recover`.
+const LOSSY: u8 = 3;
 /// Messages between two updates of the progress bar.
 const PROGRESS_STEP: u64 = 64;
 
@@ -25,8 +27,8 @@ const PROGRESS_STEP: u64 = 64;
 pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {
     match args.command {
         BagCommand::Recover(args) => return recover::run(&args, quiet, interrupt),
+        BagCommand::Merge(args) => return edit::merge(&args, quiet, interrupt),
         BagCommand::Cut(args) => edit::cut(&args, quiet, interrupt),
-        BagCommand::Merge(args) => edit::merge(&args, quiet, interrupt),
         BagCommand::Filter(args) => edit::filter(args, quiet, interrupt),
         BagCommand::Cloud(args) => edit::cloud(&args, quiet, interrupt),
         BagCommand::Reindex { bag } => reindex::run(&bag, quiet, interrupt),

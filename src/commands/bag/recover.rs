@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use super::{report, watch, watch_bytes, writer_options};
+use super::{LOSSY, report, watch, watch_bytes, writer_options};
 use crate::{
     cli::RecoverArgs,
     commands::{
@@ -12,9 +12,6 @@ use crate::{
     },
 };
 use eddy_bag::{CopyOptions, Recovery};
-
-/// Exit code when data was lost, as in `mcap recover`.
-const LOSSY: u8 = 3;
 
 /// Copies what can be read of a bag.
 pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {

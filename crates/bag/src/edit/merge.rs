@@ -1,37 +1,58 @@
 //! Merges several bags in the order of time.
 
-use std::{collections::BTreeMap, iter::Peekable, path::Path};
+use std::{
+    collections::{BTreeMap, HashSet},
+    iter::Peekable,
+    path::Path,
+    sync::Arc,
+};
 
 use super::copy::{CopyOptions, Recording, copy};
 use crate::{
     error::BagError,
     format::{channel::Channel, custom_data::CustomData, summary::BagSummary},
-    read::{
-        messages::{BagMessage, Messages},
-        reader::BagReader,
-    },
+    read::{messages::BagMessage, reader::BagReader},
 };
+
+/// A bag made from several.
+#[derive(Debug)]
+pub struct MergedBag {
+    /// The new bag.
+    pub summary: BagSummary,
+    /// Why topics of some bags are not in it, each a [`BagError::TopicType`].
+    pub left_out: Vec<BagError>,
+}
 
 /// Copies the messages of all bags into a new one at `output`, in the order of their log time;
 /// messages of the same time in the order of the bags.
 ///
+/// A topic of a bag is left out if it has another type there, or another definition by its type hash, than in the first bag
+/// that has it: programs expect one type for each topic.
+///
 /// # Errors
-/// [`BagError::TopicType`] when a topic has two types, or one type with two definitions by its type
-/// hash; otherwise as [`extract`](fn@super::extract).
+/// As [`extract`](fn@super::extract).
 pub fn merge(
     bags: &[BagReader],
     output: &Path,
     options: CopyOptions<'_>,
-) -> Result<BagSummary, BagError> {
-    check_types(bags)?;
-    let channels = bags.iter().flat_map(|bag| bag.channels());
-    let inputs = bags.iter().map(|bag| bag.messages().peekable()).collect();
+) -> Result<MergedBag, BagError> {
+    let (kept, left_out) = of_one_type(bags);
+    let inputs = bags.iter().map(|bag| {
+        let is_kept = |message: &Result<BagMessage, _>| {
+            message.as_ref().map_or(true, |message| kept.contains(&message.channel))
+        };
+        bag.messages().filter(is_kept).peekable()
+    });
+    let inputs = inputs.collect();
+    let channels =
+        bags.iter().flat_map(BagReader::channels).filter(|&channel| kept.contains(channel));
     let auxiliary = bags.iter().flat_map(BagReader::auxiliary);
     let distro = bags.first().map_or("", BagReader::distro);
     let is_common = bags.iter().all(|bag| bag.distro() == distro);
     let distro = if is_common { distro.to_owned() } else { String::new() };
     let recording = Recording { custom_data: common_custom_data(bags), distro, auxiliary };
-    copy(output, channels, recording, Merged { inputs }, options)
+    let summary = copy(output, channels, recording, Merged { inputs }, options)?;
+    Ok(MergedBag { summary, left_out })
 }
 
 /// The entries that all bags have.
@@ -43,8 +64,10 @@ fn common_custom_data(bags: &[BagReader]) -> CustomData {
     common.unwrap_or_default()
 }
 
-fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
+/// The channels with the type that their topic has in the first bag that has it, and why the others are left out.
+fn of_one_type(bags: &[BagReader]) -> (HashSet<&Arc<Channel>>, Vec<BagError>) {
     let mut known: BTreeMap<&str, &Channel> = BTreeMap::new();
+    let (mut kept, mut left_out) = (HashSet::new(), Vec::new());
     for bag in bags {
         for channel in bag.channels() {
             let first = known.entry(&channel.topic).or_insert(channel);
@@ -52,8 +75,10 @@ fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
                 (Some(first), Some(hash)) => first == hash,
                 _ => true,
             };
-            if first.type_name() != channel.type_name() || !same_hash {
-                return Err(BagError::TopicType {
+            if first.type_name() == channel.type_name() && same_hash {
+                kept.insert(channel);
+            } else {
+                left_out.push(BagError::TopicType {
                     path: bag.path().into(),
                     topic: channel.topic.clone(),
                     found: type_and_hash(channel),
@@ -62,7 +87,7 @@ fn check_types(bags: &[BagReader]) -> Result<(), BagError> {
             }
         }
     }
-    Ok(())
+    (kept, left_out)
 }
 
 fn type_and_hash(channel: &Channel) -> String {
@@ -73,11 +98,11 @@ fn type_and_hash(channel: &Channel) -> String {
 }
 
 /// The messages of several bags.
-struct Merged {
-    inputs: Vec<Peekable<Messages>>,
+struct Merged<M: Iterator> {
+    inputs: Vec<Peekable<M>>,
 }
 
-impl Iterator for Merged {
+impl<M: Iterator<Item = Result<BagMessage, BagError>>> Iterator for Merged<M> {
     type Item = Result<BagMessage, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {

@@ -17,6 +17,6 @@ mod topic_filter;
 pub use clouds::{clouds, topics_without_cloud};
 pub use copy::CopyOptions;
 pub use extract::extract;
-pub use merge::merge;
+pub use merge::{MergedBag, merge};
 pub use moment::{BagTime, InvalidBagTime};
 pub use topic_filter::TopicFilter;

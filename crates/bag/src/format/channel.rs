@@ -13,6 +13,11 @@ pub(crate) const TYPE_HASH: &str = "topic_type_hash";
 /// Metadata key of a channel: the QoS profiles its publishers offered, a YAML list.
 pub(crate) const OFFERED_QOS: &str = "offered_qos_profiles";
 
+/// Whether this is a definition. The definition of a type without fields is empty.
+pub(crate) fn defines(encoding: &str, data: &[u8]) -> bool {
+    encoding == ROS2MSG || !data.is_empty()
+}
+
 /// An MCAP schema: a message type and its definition.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Schema {

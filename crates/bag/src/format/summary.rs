@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc};
 
-use super::channel::Channel;
+use super::channel::{Channel, defines};
 use eddy_frames::Stamp;
 
 /// A topic that was written.
@@ -23,7 +23,8 @@ pub struct WrittenTopic {
 impl WrittenTopic {
     /// Whether the bag has a definition of its type.
     pub fn has_definition(&self) -> bool {
-        self.channel.schema.as_ref().is_some_and(|schema| !schema.data.is_empty())
+        let schema = self.channel.schema.as_ref();
+        schema.is_some_and(|schema| defines(&schema.encoding, &schema.data))
     }
 
     /// A topic without messages.

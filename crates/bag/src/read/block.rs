@@ -80,6 +80,8 @@ pub(crate) struct Block {
     pub(super) last: u64,
     /// Ids that stand for another channel than the first one declared with them; in the order of `from`.
     pub(super) switches: Vec<Switch>,
+    /// Channels of its messages; `None` if unknown.
+    pub(super) channels: Option<Box<[ChannelKey]>>,
 }
 
 impl Block {
@@ -87,7 +89,7 @@ impl Block {
     pub(crate) fn of_chunk(header: &RecordHeader) -> Self {
         let (position, length) = (header.position, header.end() - header.position);
         let (kind, switches) = (BlockKind::Chunk, Vec::new());
-        Self { file: 0, position, length, kind, first: 0, last: 0, switches }
+        Self { file: 0, position, length, kind, first: 0, last: 0, switches, channels: None }
     }
 
     /// Begins to fetch the block from a store; `None` for a file on disk, and for a block that is too large to be read.

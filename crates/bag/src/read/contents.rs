@@ -10,7 +10,7 @@ use super::index::{ChannelKey, FileIndex};
 use crate::{
     error::BagError,
     format::{
-        channel::{Channel, ROS2MSG},
+        channel::{Channel, ROS2MSG, defines},
         description::{Description, described},
     },
 };
@@ -36,13 +36,23 @@ pub struct TopicInfo {
 }
 
 impl TopicInfo {
+    /// Whether the bag has a definition of its type.
+    pub fn has_definition(&self) -> bool {
+        defines(&self.schema_encoding, self.schema.as_bytes())
+    }
+
+    /// Number of messages that its publishers keep for late subscribers; 0 unless all of them are transient local.
+    pub fn kept(&self) -> usize {
+        QosProfile::in_place_of(&self.offered).map_or(0, |offered| offered.kept())
+    }
+
     /// The type as the bag defines it; `None` if it does not, or in another language than `.msg`.
     ///
     /// # Errors
     /// [`InvalidDefinition`] when the definition cannot be parsed.
     pub fn defined_type(&self) -> Option<Result<TypeSupport, InvalidDefinition>> {
-        let is_msg = self.schema_encoding == ROS2MSG && !self.schema.is_empty();
-        is_msg.then(|| TypeSupport::from_schema(&self.type_name, &self.schema))
+        (self.schema_encoding == ROS2MSG)
+            .then(|| TypeSupport::from_schema(&self.type_name, &self.schema))
     }
 }
 

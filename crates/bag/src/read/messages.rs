@@ -4,11 +4,11 @@
 use std::{collections::VecDeque, sync::Arc};
 
 use eddy_storage::Prefetched;
-use mcap::records::Record;
+use mcap::records::{MessageHeader, Record};
 
 use super::{
     block::{Block, ChannelKeys, unknown_channel},
-    contents::{Contents, FileChannel},
+    contents::{Contents, FileChannel, TopicNames},
     error_log::ErrorLog,
 };
 use crate::{error::BagError, format::channel::Channel};
@@ -34,6 +34,29 @@ pub struct BagMessage {
     pub data: Vec<u8>,
     /// The channel of the message.
     pub channel: Arc<Channel>,
+}
+
+impl BagMessage {
+    /// A message as it is in a file.
+    ///
+    /// # Errors
+    /// Which time is beyond the range of ROS.
+    pub(super) fn of(
+        topic: &TopicNames,
+        channel: &Arc<Channel>,
+        header: &MessageHeader,
+        data: Vec<u8>,
+    ) -> Result<Self, String> {
+        Ok(Self {
+            topic: topic.name.clone(),
+            type_name: topic.type_name.clone(),
+            sequence: header.sequence,
+            log_time: stamp("log_time", header.log_time)?,
+            publish_time: stamp("publish_time", header.publish_time)?,
+            data,
+            channel: Arc::clone(channel),
+        })
+    }
 }
 
 /// Selects messages of a bag.
@@ -135,15 +158,7 @@ impl Messages {
                 return Ok(());
             }
             let topic = &contents.names[*topic];
-            ready.push_back(BagMessage {
-                topic: topic.name.clone(),
-                type_name: topic.type_name.clone(),
-                sequence: header.sequence,
-                log_time: stamp("log_time", header.log_time)?,
-                publish_time: stamp("publish_time", header.publish_time)?,
-                data: data.into_owned(),
-                channel: Arc::clone(channel),
-            });
+            ready.push_back(BagMessage::of(topic, channel, &header, data.into_owned())?);
             Ok(())
         });
         if ready.len() > ready_before {

@@ -7,6 +7,7 @@
 //!    file, as `open` decides; `confirm` asks the message indexes whether the summary is right, `statements` compares what a file
 //!    says twice with its messages. `error_log`: the damage.
 //! 5. `contents`: files and topics of an open bag; `messages`: its messages, merged by time.
+//!    `kept`: those that publishers have kept for late subscribers at a moment.
 //! 6. `reader`: topics, messages and frames of a bag.
 //! 7. `survey`: a check of everything in a bag; `agreement`: of what `metadata.yaml` says.
 
@@ -17,6 +18,7 @@ mod confirm;
 pub(crate) mod contents;
 pub(crate) mod error_log;
 pub(crate) mod index;
+mod kept;
 pub(crate) mod messages;
 pub(crate) mod open;
 pub(crate) mod reader;

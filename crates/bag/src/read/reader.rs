@@ -12,6 +12,7 @@ use super::{
     auxiliary::AuxiliaryRecord,
     contents::{Contents, FileChannel, TopicInfo},
     index::FileIndex,
+    kept,
     messages::{BagMessage, Messages, Selection},
     open::Source,
 };
@@ -205,6 +206,17 @@ impl BagReader {
     /// The selected messages, in the order of their log time.
     pub fn select(&self, selection: &Selection) -> Messages {
         Messages::new(self.contents.clone(), selection)
+    }
+
+    /// The messages that transient-local publishers have kept at `at` for late subscribers: of each topic the last ones
+    /// before, as many as `depth_of` says, in the order of their log time; then the damage that was met. Only the chunks
+    /// that hold them are read, as far as the index names the topics of each chunk.
+    pub fn kept_at(
+        &self,
+        at: Stamp,
+        depth_of: impl Fn(&TopicInfo) -> usize,
+    ) -> Vec<Result<BagMessage, BagError>> {
+        kept::kept_at(&self.contents, at, depth_of)
     }
 
     /// The messages of a topic of type `type_name`, in the order of their log time.

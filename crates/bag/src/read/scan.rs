@@ -294,6 +294,7 @@ impl FileIndex {
             first: 0,
             last: 0,
             switches: Vec::new(),
+            channels: None,
         };
         let (path, file) = (self.path.clone(), self.file.clone());
         let (mut counts, mut times) = (BTreeMap::new(), None);
@@ -344,7 +345,8 @@ impl FileIndex {
             scan.statements.begin_chunk(chunk);
         }
         if let Some((first, last)) = times {
-            self.blocks.push(Block { first, last, switches, ..block });
+            let channels = Some(counts.keys().copied().collect());
+            self.blocks.push(Block { first, last, switches, channels, ..block });
             self.count(BlockContents { position: header.position, counts, times: (first, last) });
         }
         Ok(())
@@ -443,6 +445,7 @@ impl FileIndex {
             first: time,
             last: time,
             switches: scan.switches(),
+            channels: None,
         });
     }
 

@@ -9,7 +9,7 @@ use mcap::{
 
 use super::{
     block::{Block, BlockKind},
-    index::FileIndex,
+    index::{ChannelKey, FileIndex},
     records::{RecordHeader, Records, SIZE_LIMIT, Step, compression},
 };
 use crate::format::parse;
@@ -72,6 +72,7 @@ impl FileIndex {
                 first: chunk.message_start_time,
                 last: chunk.message_end_time,
                 switches: Vec::new(),
+                channels: channels_of(chunk),
             });
         }
         self.declared_messages = Some(statistics.message_count);
@@ -81,6 +82,12 @@ impl FileIndex {
         self.summarized = true;
         true
     }
+}
+
+/// The channels that have a message index behind the chunk; `None` for writers that write none.
+fn channels_of(chunk: &ChunkIndex) -> Option<Box<[ChannelKey]>> {
+    let offsets = &chunk.message_index_offsets;
+    (!offsets.is_empty()).then(|| offsets.keys().map(|&id| id.into()).collect())
 }
 
 /// The attachments and metadata records between the chunks. `None` when there are messages outside chunks, or

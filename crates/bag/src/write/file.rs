@@ -5,7 +5,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{self, File},
+    fs::{self, File, TryLockError},
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
     sync::{
@@ -30,6 +30,12 @@ use crate::{
 };
 use eddy_frames::Stamp;
 use eddy_settings::atomic;
+
+/// Whether a process is writing this unfinished file now, and was not killed.
+pub fn is_being_written(active: &Path) -> bool {
+    let locked = File::open(active).map(|file| file.try_lock_shared());
+    matches!(locked, Ok(Err(TryLockError::WouldBlock)))
+}
 
 /// Bytes of a message record before its data, and of its entry in the message index.
 const MESSAGE_OVERHEAD: u64 = 9 + 2 + 4 + 8 + 8 + 16;
@@ -74,6 +80,10 @@ impl FileWriter {
         let active = PathBuf::from(format!("{}{ACTIVE}", file.display()));
         let stream =
             File::create_new(&active).map_err(BagError::io(&active, "creating the file"))?;
+        // Until it is closed; see `is_being_written`. Some network file systems have no locks.
+        if let Err(error) = stream.lock() {
+            tracing::debug!("{}: no lock: {error}", active.display());
+        }
         let written = Arc::new(AtomicU64::new(0));
         let counted = Counted { stream: BufWriter::new(stream), count: Arc::clone(&written) };
         let mut mcap = mcap::WriteOptions::new()

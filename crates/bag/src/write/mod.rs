@@ -6,6 +6,6 @@
 //! 4. `bag`: topics and messages of a bag, split into files.
 
 pub(crate) mod bag;
-mod file;
+pub(crate) mod file;
 pub(crate) mod finish;
 pub(crate) mod options;

@@ -1,16 +1,21 @@
 //! Bags made from bags, and split bags.
 
-use std::time::Duration;
+use std::{fs, path::Path, time::Duration};
 
 use eddy_bag::{
-    BagReader, BagWriter, Compression, CopyOptions, Selection, Split, WriterOptions, extract, merge,
+    BagError, BagReader, BagWriter, Compression, CopyOptions, Selection, Split, WriterOptions,
+    extract, merge,
 };
 use eddy_frames::Stamp;
-use eddy_messages::{Message, RosString};
+use eddy_messages::{
+    Message, QosProfile, RosString,
+    qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
+    type_support,
+};
 use proptest::prelude::*;
 
 use crate::support::{
-    Folder, copying, findings, messages, recover, reindex, word, write_foreign, write_split,
+    Folder, Whole, copying, findings, messages, recover, reindex, word, write_foreign, write_split,
 };
 
 proptest! {
@@ -159,4 +164,135 @@ fn a_stopped_copy_leaves_nothing() {
         .unwrap_err();
     assert!(stopped.to_string().contains("interrupted"), "{stopped}");
     assert_eq!(folder.names(), ["whole.mcap"]);
+}
+
+/// QoS of publishers that keep their last two messages.
+const LATCHED: QosProfile = QosProfile {
+    reliability: ReliabilityPolicy::Reliable,
+    durability: DurabilityPolicy::TransientLocal,
+    history: HistoryPolicy::KeepLast(2),
+};
+
+/// A bag with words on `/map`, whose publisher keeps two messages, at 1, 2, 3 and 40 s, and on `/odom`, whose publisher keeps
+/// none, at every second up to 59 s, in chunks of a few messages.
+fn write_latched(path: &Path, split: Option<Duration>) {
+    let split = Split { size: None, duration: split };
+    let options = WriterOptions { chunk_size: 200, split, ..WriterOptions::default() };
+    let mut bag = BagWriter::create(path, options).unwrap();
+    let words = type_support(RosString::TYPE).unwrap();
+    let map = bag.offered_topic("/map", words, &[LATCHED]).unwrap();
+    let odom = bag.offered_topic("/odom", words, &[QosProfile::default()]).unwrap();
+    for second in 0..60 {
+        let stamp = Stamp(second * 1_000_000_000);
+        if [1, 2, 3, 40].contains(&second) {
+            bag.write(map, stamp, stamp, &word(&second.to_string())).unwrap();
+        }
+        bag.write(odom, stamp, stamp, &word("here")).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
+fn of_map(messages: &[Whole]) -> Vec<(i64, i64, &[u8])> {
+    let seconds = |time: i64| time / 1_000_000_000;
+    let of_map = messages.iter().filter(|message| message.0 == "/map");
+    of_map
+        .map(|(_, _, log, publish, data, _)| (seconds(*log), seconds(*publish), &data[..]))
+        .collect()
+}
+
+#[test]
+fn a_part_of_a_bag_begins_with_what_its_publishers_had_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    for split in [None, Some(Duration::from_secs(9))] {
+        let path = folder.path().join(format!("bag_{}", split.is_some()));
+        write_latched(&path, split);
+        let bag = BagReader::open(&path).unwrap();
+        let [one, two, three, forty] = ["1", "2", "3", "40"].map(word);
+        for (start, expected) in [
+            (0, vec![(1, 1, &one), (2, 2, &two), (3, 3, &three), (40, 40, &forty)]),
+            (1, vec![(1, 1, &one), (2, 2, &two), (3, 3, &three), (40, 40, &forty)]),
+            (2, vec![(2, 1, &one), (2, 2, &two), (3, 3, &three), (40, 40, &forty)]),
+            (30, vec![(30, 2, &two), (30, 3, &three), (40, 40, &forty)]),
+            (41, vec![(41, 3, &three), (41, 40, &forty)]),
+        ] {
+            let selection =
+                Selection { from: Some(Stamp(start * 1_000_000_000)), ..Selection::default() };
+            let part = path.with_extension(start.to_string());
+            extract(&bag, &selection, &part, copying(&mut || true)).unwrap();
+            let found = messages(&part);
+            let expected: Vec<_> = expected
+                .into_iter()
+                .map(|(log, publish, data)| (log, publish, &data[..]))
+                .collect();
+            assert_eq!(of_map(&found), expected, "from {start} s");
+            let others = found.len() - expected.len();
+            assert_eq!(others as i64, 60 - start);
+            assert_eq!(findings(&part), [""; 0]);
+        }
+        // Without a message in the selected time, nothing is written.
+        let after = Selection { from: Some(Stamp(i64::MAX)), ..Selection::default() };
+        let nothing = extract(&bag, &after, &path.with_extension("after"), copying(&mut || true));
+        assert!(matches!(nothing, Err(BagError::Nothing { .. })), "{nothing:?}");
+    }
+}
+
+#[test]
+fn what_publishers_had_kept_is_that_of_the_selected_topics() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bag");
+    write_latched(&path, None);
+    let bag = BagReader::open(&path).unwrap();
+    let topics = Some(vec!["/odom".to_owned()]);
+    let selection = Selection { topics, from: Some(Stamp(30_000_000_000)), until: None };
+    let part = path.with_extension("part");
+    extract(&bag, &selection, &part, copying(&mut || true)).unwrap();
+    assert_eq!(of_map(&messages(&part)), []);
+}
+
+#[test]
+fn only_blocks_that_hold_a_kept_message_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bag");
+    write_latched(&path, None);
+    let file = path.join("bag_0.mcap");
+    // Damage in the middle of the file: between 3 and 40 s there are chunks of `/odom` only.
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 4;
+    bytes[middle..middle + 16].fill(0xaa);
+    fs::write(&file, &bytes).unwrap();
+    let bag = BagReader::open(&path).unwrap();
+    assert!(bag.messages().any(|message| message.is_err()), "the damage is met");
+    let kept = bag.kept_at(Stamp(30_000_000_000), |topic| topic.kept());
+    let kept: Vec<_> = kept.into_iter().map(|message| message.unwrap().data).collect();
+    assert_eq!(kept, [word("2"), word("3")]);
+}
+
+#[test]
+fn a_topic_with_another_type_than_in_the_first_bag_is_left_out_of_a_merge_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for (name, kind, times) in
+        [("one", RosString::TYPE, [1, 3]), ("two", "std_msgs/msg/Int32", [2, 4])]
+    {
+        let mut bag = BagWriter::create(&at(name), WriterOptions::default()).unwrap();
+        let odd = bag.topic("/odd", kind).unwrap();
+        let words = bag.topic("/words", RosString::TYPE).unwrap();
+        for time in times.map(Stamp) {
+            bag.write(odd, time, time, &word(name)).unwrap();
+            bag.write(words, time, time, &word(name)).unwrap();
+        }
+        bag.finish().unwrap();
+    }
+    let bags = ["one", "two"].map(|name| BagReader::open(&at(name)).unwrap());
+    let merged = merge(&bags, &at("both"), copying(&mut || true)).unwrap();
+    let reasons: Vec<_> = merged.left_out.iter().map(ToString::to_string).collect();
+    assert_eq!(reasons.len(), 1);
+    let expected = "topic /odd: found type std_msgs/msg/Int32 (RIHS01_";
+    assert!(reasons[0].contains(expected), "{reasons:?}");
+    let found = messages(&at("both"));
+    let found: Vec<_> = found.iter().map(|message| (message.0.as_str(), message.2)).collect();
+    let expected =
+        [("/odd", 1), ("/words", 1), ("/words", 2), ("/odd", 3), ("/words", 3), ("/words", 4)];
+    assert_eq!(found, expected);
+    assert_eq!(findings(&at("both")), [""; 0]);
 }

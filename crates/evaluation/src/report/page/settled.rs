@@ -49,16 +49,17 @@ impl Report {
         let best = |scene: &SceneEntry| {
             let all = self.predictors.iter().zip(&scene.settled);
             let baselines = all.filter(|(entry, _)| entry.role == Role::Baseline);
-            baselines.filter_map(|(_, settled)| settled.as_ref().map(of)).fold(f64::INFINITY, f64::min)
+            baselines
+                .filter_map(|(_, settled)| settled.as_ref().map(of))
+                .fold(f64::INFINITY, f64::min)
         };
         let against = format!("largest / best baseline's (below {EQUAL} is equal)");
         let mut table = self.kinds_table(caption, &[&against]);
         for number in self.settled_predictors() {
             let error_in = |scene: &SceneEntry| settled_of(scene, number).map_or(f64::NAN, of);
             let kinds = self.by_kinds(error_in).map(error);
-            let ratios = self.scenes.iter().map(|scene| {
-                error_in(scene).max(EQUAL) / best(scene).max(EQUAL)
-            });
+            let ratios =
+                self.scenes.iter().map(|scene| error_in(scene).max(EQUAL) / best(scene).max(EQUAL));
             let worst = ratio(largest(ratios.filter(|_| self.has_steps(number))));
             table.row(self.predictors[number].name.as_str(), kinds.chain([worst]));
         }
@@ -75,28 +76,32 @@ impl Report {
         let spacing = f64::from(self.spacing);
         let frames = format!("frames {} to {frame} ahead", frame + 1 - SETTLED_AVERAGED);
         let off = format!("largest deviation, truth above {MOVING}");
-        let mut speeds = self.kinds_table(
-            format!("Mean speed, {frames} (domain lengths/s)"),
-            &[&off],
-        );
+        let mut speeds =
+            self.kinds_table(format!("Mean speed, {frames} (domain lengths/s)"), &[&off]);
         let mut energies = self
             .kinds_table(format!("Kinetic energy per mass, {frames} (domain lengths²/s²)"), &[]);
         let mut areas = self.kinds_table(format!("Area / true area, frame {frame} ahead"), &[]);
         let mut creep = Table::new(
-            format!("Displacement in {frame} frames where the truth moves less than {RESTING} spacings (spacings, RMS)"),
+            format!(
+                "Displacement in {frame} frames where the truth moves less than {RESTING} spacings (spacings, RMS)"
+            ),
             ["", "mean", "largest", "streams"],
         );
         for number in self.settled_predictors() {
             let name = self.predictors[number].name.as_str();
-            let at = |scene: &SceneEntry| settled_of(scene, number).and_then(|s| state_at(s, frame));
+            let at =
+                |scene: &SceneEntry| settled_of(scene, number).and_then(|s| state_at(s, frame));
             let own = |of: fn(&SettledState) -> f64| {
                 move |scene: &SceneEntry| at(scene).map_or(f64::NAN, |state| of(state))
             };
             let pairs = || {
-                self.scenes.iter().filter_map(|scene| Some((at(scene)?, self.truth_at(scene, frame)?)))
+                self.scenes
+                    .iter()
+                    .filter_map(|scene| Some((at(scene)?, self.truth_at(scene, frame)?)))
             };
             let moving = pairs().filter(|(_, truth)| truth.speed > MOVING);
-            let deviation = largest(moving.map(|(state, truth)| (state.speed / truth.speed - 1.0).abs()));
+            let deviation =
+                largest(moving.map(|(state, truth)| (state.speed / truth.speed - 1.0).abs()));
             let kinds = self.by_kinds(own(|state| state.speed)).map(error);
             speeds.row(name, kinds.chain([percent(deviation)]));
             energies.row(name, self.by_kinds(own(|state| state.kinetic_energy)).map(error));
