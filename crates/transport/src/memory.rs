@@ -2,12 +2,15 @@
 
 use std::{
     collections::{BTreeSet, HashMap},
-    sync::{Arc, Mutex, Weak},
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicUsize, Ordering},
+    },
     time::Duration,
 };
 
 use super::{
-    Link, Payload, Publisher, Reliability, Subscriber, TransportError, lock,
+    Link, Payload, Publisher, Reliability, SeenTopic, Subscriber, TransportError, lock,
     middleware::Middleware,
     patience::Patience,
     queue::{PushError, Queue},
@@ -28,6 +31,8 @@ pub(super) struct Broker {
 struct Topic {
     type_name: String,
     queues: Mutex<Vec<Weak<Queue<Payload>>>>,
+    /// Number of publishers.
+    publishers: AtomicUsize,
 }
 
 impl Broker {
@@ -40,7 +45,8 @@ impl Broker {
     fn topic(&self, link: &Link, type_name: &str) -> Result<Arc<Topic>, TransportError> {
         let mut topics = lock(&self.topics);
         let topic = topics.entry(link.topic.clone()).or_insert_with(|| {
-            Arc::new(Topic { type_name: type_name.to_owned(), queues: Mutex::default() })
+            let (queues, publishers) = (Mutex::default(), AtomicUsize::new(0));
+            Arc::new(Topic { type_name: type_name.to_owned(), queues, publishers })
         });
         if topic.type_name != type_name {
             return Err(TransportError::TopicType {
@@ -54,6 +60,16 @@ impl Broker {
 }
 
 impl Middleware for Broker {
+    fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
+        let topics = lock(&self.topics);
+        let published =
+            topics.iter().filter(|(_, topic)| topic.publishers.load(Ordering::Relaxed) > 0);
+        let seen = |(name, topic): (&String, &Arc<Topic>)| {
+            SeenTopic::new(link.with_topic(name), topic.type_name.clone())
+        };
+        Ok(published.map(seen).collect())
+    }
+
     fn publisher(
         self: Arc<Self>,
         link: &Link,
@@ -64,6 +80,7 @@ impl Middleware for Broker {
         let topic = self.topic(link, &support.name)?;
         let (link, patience) = (link.clone(), self.patience.clone());
         let given_up = BTreeSet::new();
+        topic.publishers.fetch_add(1, Ordering::Relaxed);
         Ok(Box::new(MemoryPublisher { link, topic, reliability, patience, given_up }))
     }
 
@@ -141,6 +158,12 @@ impl Publisher for MemoryPublisher {
 
     fn subscribers(&self) -> usize {
         self.queues().len()
+    }
+}
+
+impl Drop for MemoryPublisher {
+    fn drop(&mut self) {
+        self.topic.publishers.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

@@ -366,8 +366,8 @@ impl Transports {
         self.middleware(&service.link)?.call(service, request, timeout)
     }
 
-    /// The known topics with a publisher (on DDS also those with a subscriber only), sorted. Topics within the process
-    /// are not listed.
+    /// The known topics with a publisher, sorted; in shared memory also those with a subscriber only, which determines the
+    /// type as well.
     ///
     /// # Errors
     /// [`TransportError`] when the middleware cannot be opened or asked.

@@ -15,9 +15,12 @@ pub(super) struct Body(Bytes);
 
 impl Body {
     /// The body of a message with its header; `None` unless it is plain little-endian CDR, the only representation that a
-    /// writer of RustDDS announces.
+    /// writer of RustDDS announces. A message without bytes, not even a header, has an empty body.
     pub(super) fn of(message: Vec<u8>) -> Option<Self> {
         let message = Bytes::from(message);
+        if message.is_empty() {
+            return Some(Self(message));
+        }
         (message.len() >= HEADER.len() && message[..2] == HEADER[..2])
             .then(|| Self(message.slice(HEADER.len()..)))
     }
@@ -113,7 +116,8 @@ mod tests {
 
     #[test]
     fn only_plain_little_endian_cdr_is_sent() {
-        for message in [vec![], vec![0, 1, 0], vec![0, 0, 0, 0, 7], vec![0, 3, 0, 0]] {
+        assert!(PassThrough::to_bytes(&Body::of(Vec::new()).unwrap()).unwrap().is_empty());
+        for message in [vec![0, 1, 0], vec![0, 0, 0, 0, 7], vec![0, 3, 0, 0]] {
             assert!(Body::of(message.clone()).is_none(), "{message:02x?}");
         }
     }
