@@ -9,6 +9,7 @@ use std::{
 };
 
 use anyhow::{Context as _, bail, ensure};
+use eddy_bag::is_being_written;
 use tempfile::{Builder, TempDir};
 
 /// What a command writes.
@@ -120,6 +121,10 @@ impl Output {
         if kind == OutputKind::Report {
             return Ok(output);
         }
+        if let Some(file) = being_written(path)? {
+            let file = file.display();
+            bail!("{shown}: another process is writing {file}, expected another --output");
+        }
         let whole = fs::canonicalize(path)?;
         for input in inputs {
             let is_same = fs::canonicalize(input)
@@ -184,6 +189,20 @@ fn foreign(path: &Path, kind: OutputKind) -> io::Result<Option<PathBuf>> {
     for entry in fs::read_dir(path)? {
         if let Some(other) = foreign(&entry?.path(), kind)? {
             return Ok(Some(other));
+        }
+    }
+    Ok(None)
+}
+
+/// The first file of a bag that another process is writing now. Links are not followed.
+fn being_written(path: &Path) -> io::Result<Option<PathBuf>> {
+    if !fs::symlink_metadata(path)?.is_dir() {
+        let is_active = path.extension().is_some_and(|extension| extension == "active");
+        return Ok((is_active && is_being_written(path)).then(|| path.to_owned()));
+    }
+    for entry in fs::read_dir(path)? {
+        if let Some(file) = being_written(&entry?.path())? {
+            return Ok(Some(file));
         }
     }
     Ok(None)
