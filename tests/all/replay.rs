@@ -268,7 +268,7 @@ fn a_topic_with_two_types_is_played_with_the_one_that_can_be_had() {
             topic: "/a".to_owned(),
             schema: Some(Arc::new(Schema {
                 name: name.to_owned(),
-                encoding: "ros2msg".to_owned(),
+                encoding: String::new(),
                 data: Vec::new(),
             })),
             encoding: "cdr".to_owned(),
@@ -286,7 +286,158 @@ fn a_topic_with_two_types_is_played_with_the_one_that_can_be_had() {
     let mut words = world.subscriber("zenoh", "a", RosString::TYPE);
     let mut player = Process::start(&mut world.replay("zenoh", &[]));
     assert_eq!(next(&mut *words), word("here"));
+    assert_eq!(player.wait().code(), Some(1));
+    let expected = "not published: topic /a: zenoh needs the type hash of acme_msgs/msg/Imu";
+    let said = player.rest();
+    assert_eq!(said.matches(expected).count(), 1, "{said}");
+}
+
+/// A channel without a type hash.
+fn channel(topic: &str, type_name: &str, definition: &str) -> Arc<Channel> {
+    let schema = Schema {
+        name: type_name.to_owned(),
+        encoding: "ros2msg".to_owned(),
+        data: definition.as_bytes().to_vec(),
+    };
+    Arc::new(Channel {
+        topic: topic.to_owned(),
+        schema: Some(Arc::new(schema)),
+        encoding: "cdr".to_owned(),
+        metadata: BTreeMap::new(),
+    })
+}
+
+/// A bag with these messages, a millisecond apart.
+fn write_messages(path: &Path, messages: &[(&Arc<Channel>, Vec<u8>)]) {
+    let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
+    for ((channel, data), time) in messages.iter().zip(1..) {
+        let (topic, stamp) = (bag.channel(channel).unwrap(), Stamp(time * 1_000_000));
+        bag.write(topic, stamp, stamp, data).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
+#[test]
+fn a_name_that_ros_does_not_allow_is_changed_and_the_others_are_published() {
+    for transport in ["zenoh", "dds", "shm"] {
+        let world = World::in_domain("replay", domain());
+        let words = |topic: &str| channel(topic, RosString::TYPE, "string data");
+        let [usual, odd] = [words("/a"), words(&world.topic("front-camera/9"))];
+        write_messages(
+            &world.bag(),
+            &[(&usual, word("000")), (&odd, word("odd")), (&usual, word("001"))],
+        );
+        let mut usual = world.subscriber(transport, "a", RosString::TYPE);
+        let mut odd = world.subscriber(transport, "front_camera/_9", RosString::TYPE);
+        let mut player = Process::start(&mut world.replay(transport, &[]));
+        assert_eq!([next(&mut *usual), next(&mut *usual)], ["000", "001"].map(word));
+        assert_eq!(next(&mut *odd), word("odd"));
+        assert!(player.wait().success());
+        let link = world.link(transport, "front_camera/_9");
+        assert!(player.rest().contains(&format!("/front-camera/9 on {link} ")));
+    }
+}
+
+#[test]
+fn messages_that_dds_cannot_carry_are_left_out_and_named_once() {
+    let world = World::in_domain("replay", domain());
+    let words = channel("/a", RosString::TYPE, "string data");
+    let big_endian = [&[0, 0, 0, 0, 0, 0, 0, 4][..], b"000\0"].concat();
+    let messages =
+        [word("000"), big_endian.clone(), vec![0, 1, 0], Vec::new(), word("001"), big_endian];
+    let messages: Vec<_> = messages.into_iter().map(|data| (&words, data)).collect();
+    write_messages(&world.bag(), &messages);
+    let mut subscriber = world.subscriber("dds", "a", RosString::TYPE);
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let mut player = Process::start(world.replay("dds", &[]).stderr(log.reopen().unwrap()));
+    assert_eq!(next(&mut *subscriber), word("000"));
+    // A message without bytes has no body.
+    assert_eq!(next(&mut *subscriber), [0, 1, 0, 0]);
+    assert_eq!(next(&mut *subscriber), word("001"));
+    assert_eq!(player.wait().code(), Some(1));
+    let said = player.rest();
+    assert!(said.contains("not published: topic /a: 3 messages: "), "{said}");
+    assert!(said.contains(": 3 messages in "), "{said}");
+    let logged = fs::read_to_string(log.path()).unwrap();
+    assert_eq!(logged.matches("a message is not published").count(), 1, "{logged}");
+    assert!(logged.contains("1 topic not published, or not completely"), "{logged}");
+}
+
+#[test]
+fn two_types_on_one_topic_are_published_apart_in_shared_memory() {
+    let world = World::new("replay");
+    let [words, numbers] =
+        [("std_msgs/msg/String", "string data"), ("std_msgs/msg/Int32", "int32 data")]
+            .map(|(name, definition)| channel("/a", name, definition));
+    let number = vec![0, 1, 0, 0, 7, 0, 0, 0];
+    write_messages(&world.bag(), &[(&words, word("one")), (&numbers, number.clone())]);
+    let mut int32 = world.subscriber("shm", "a", "std_msgs/msg/Int32");
+    let mut string = world.subscriber("shm", "a/std_msgs/String", RosString::TYPE);
+    let mut player = Process::start(&mut world.replay("shm", &[]));
+    assert_eq!((next(&mut *string), next(&mut *int32)), (word("one"), number));
     assert!(player.wait().success());
+}
+
+#[test]
+fn versions_of_a_type_are_published_apart_on_zenoh() {
+    const NAME: &str = "acme_msgs/msg/Point";
+    let world = World::new("replay");
+    let definitions = ["float32 x", "float32 x\nfloat32 y"];
+    let [old, new] = definitions.map(|definition| channel("/a", NAME, definition));
+    let data = |numbers: u8| [&[0, 1, 0, 0][..], &vec![numbers; 4 * usize::from(numbers)]].concat();
+    write_messages(&world.bag(), &[(&old, data(1)), (&new, data(2)), (&old, data(1))]);
+    let link = world.link("zenoh", "a");
+    let mut subscribers = definitions.map(|definition| {
+        let support = TypeSupport::from_schema(NAME, definition).unwrap();
+        world.transports.subscriber_of(&link, &support).unwrap()
+    });
+    let mut player = Process::start(&mut world.replay("zenoh", &[]));
+    assert_eq!([next(&mut *subscribers[0]), next(&mut *subscribers[0])], [data(1), data(1)]);
+    assert_eq!(next(&mut *subscribers[1]), data(2));
+    assert!(player.wait().success());
+    assert_eq!(player.rest().matches("publishing /a on ").count(), 2);
+}
+
+#[test]
+fn a_type_without_fields_is_published() {
+    let world = World::new("replay");
+    let tick = channel("/a", "acme_msgs/msg/Tick", "");
+    write_messages(&world.bag(), &[(&tick, vec![0, 1, 0, 0, 0])]);
+    let support = TypeSupport::from_schema("acme_msgs/msg/Tick", "# Nothing.\n").unwrap();
+    let mut ticks = world.transports.subscriber_of(&world.link("zenoh", "a"), &support).unwrap();
+    let mut player = Process::start(&mut world.replay("zenoh", &[]));
+    assert_eq!(next(&mut *ticks), [0, 1, 0, 0, 0]);
+    assert!(player.wait().success());
+}
+
+#[test]
+fn playback_from_an_offset_begins_with_what_publishers_had_kept() {
+    for transport in ["zenoh", "dds", "shm"] {
+        let world = World::in_domain("replay", domain());
+        write_pause(&world.bag(), latched(1));
+        let mut subscriber = world.subscriber(transport, "a", RosString::TYPE);
+        let offset = ["--start-offset", "599.9"];
+        let mut player = Process::start(&mut world.replay(transport, &offset));
+        assert_eq!(next(&mut *subscriber), word("000"), "{transport}");
+        assert_eq!(next(&mut *subscriber), word("600"), "{transport}");
+        assert!(player.wait().success());
+    }
+}
+
+#[test]
+fn a_long_pause_is_said_when_it_begins_with_what_to_do() {
+    let world = World::new("replay");
+    // 54 years.
+    write_words(&world.bag(), &[0, 1_700_000_000_000]);
+    let mut words = world.subscriber("shm", "a", RosString::TYPE);
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let player = Process::start(world.replay("shm", &[]).stderr(log.reopen().unwrap()));
+    assert_eq!(next(&mut *words), word("0"));
+    let expected = "the next message follows in 54 years; --start-offset 1700000000 begins with it";
+    wait_for("the pause is said", || {
+        fs::read_to_string(log.path()).unwrap().contains(expected).then_some(())
+    });
+    player.kill();
 }
 
 #[test]

@@ -6,10 +6,10 @@ use std::{
 };
 
 use anyhow::{Context as _, bail, ensure};
-use indicatif::HumanCount;
+use indicatif::{HumanCount, HumanDuration};
 
 use super::{
-    Interrupt, has_no_parameters, keyboard::Keyboard, leaves_the_process, publish_log,
+    Interrupt, counted, has_no_parameters, keyboard::Keyboard, leaves_the_process, publish_log,
     wait_for_subscribers,
 };
 use crate::{cli::ReplayArgs, terminal};
@@ -19,7 +19,8 @@ use eddy_inference::checkpoint::Checkpoint;
 use eddy_node::{
     PendingCommand, PlaybackSink, Player, PlayerOptions, play,
     player::{
-        OutputOptions, PlaybackStatus, PlayerServices, TopicOutputs, parse_keys, playable_topics,
+        LongPause, OutputOptions, PlannedTopic, PlaybackPlan, PlaybackStatus, PlayerServices,
+        TopicOutputs, parse_keys,
     },
     ros::{RosNode, Rosout},
     viewer::BagView,
@@ -45,7 +46,7 @@ pub fn run(
         reliability: args.reliability,
         overrides: super::qos_overrides(args.qos_profile_overrides_path.as_deref())?,
     };
-    let playable = playable_topics(&bag, &options)?;
+    let plan = PlaybackPlan::new(&bag, ros, &options)?;
     let mut player = Player::new(
         &bag,
         PlayerOptions {
@@ -53,24 +54,34 @@ pub fn run(
             start_offset: args.start_offset,
             duration: args.duration,
             looped: args.looped,
-            topics: Some(names(&args, &bag, playable.iter().map(|topic| topic.name.as_str()))),
+            topics: Some(names(&args, &bag, &plan)?),
             clock: args.clock,
             paused: args.start_paused,
+            overrides: options.overrides.clone(),
         },
     )?;
     // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
-    let mut outputs = TopicOutputs::open(&transports, ros, &options, &bag, &playable)?;
+    let mut outputs = TopicOutputs::open(&transports, &options, plan)?;
     let _log = publish_log(rosout, &transports, ros, [args.to])?;
-    for topic in outputs.topics() {
-        println!("publishing {} on {} ({})", topic.name, topic.link, topic.type_name);
+    for PlannedTopic { name, link, support, .. } in
+        outputs.topics().iter().map(|topic| &topic.planned)
+    {
+        println!("publishing {} on {link} ({})", name.escape_debug(), support.name);
+    }
+    if outputs.topics().is_empty() {
+        bail!(
+            "{}: no topic can be published: {}",
+            args.bag.display(),
+            outputs.left_out().join("; ")
+        );
     }
     if let Some(link) = outputs.clock() {
         println!("publishing the recorded time on {link}");
     }
-    for topic in outputs.topics() {
+    for topic in outputs.topics().iter().filter(|topic| !topic.planned.is_aside) {
         let publisher = topic.publisher.as_ref();
-        if !wait_for_subscribers(&topic.link, publisher, args.wait_for, interrupt)? {
+        if !wait_for_subscribers(&topic.planned.link, publisher, args.wait_for, interrupt)? {
             return Ok(());
         }
     }
@@ -97,37 +108,40 @@ pub fn run(
     }
     let clock = Clock::start();
     let line = (!quiet && stdout().is_terminal()).then(|| [bag.start(), bag.end()]);
-    let mut session = Session { outputs: &mut outputs, keyboard, services, view, line, interrupt };
+    let mut session =
+        Session { outputs: &mut outputs, keyboard, services, view, line, bag: &bag, interrupt };
     let played = play(&mut player, &clock, &mut session);
     drop(session);
     terminal::clear_status();
     played?;
     outputs.flush()?;
-    let (bag, TopicOutputs { sent, skipped, undelivered, .. }) = (bag.path().display(), &outputs);
+    let (bag, TopicOutputs { sent, undelivered, .. }) = (bag.path().display(), &outputs);
     if !quiet {
         println!("{bag}: {} messages in {:.1} s", HumanCount(*sent), clock.now().as_secs_f64());
     }
-    if *skipped > 0 {
-        bail!("{bag}: skipped {skipped} messages that are not valid frames");
+    let left_out = outputs.left_out();
+    for reason in &left_out {
+        println!("not published: {reason}");
     }
     ensure!(
         *undelivered == 0,
         "{bag}: {undelivered} of {sent} messages were not delivered to all subscribers"
     );
+    let topics = counted(left_out.len() as u64, "topic");
+    ensure!(left_out.is_empty(), "{bag}: {topics} not published, or not completely");
     Ok(())
 }
 
-/// The topics to play: the playable ones, and those that the bag lacks, which the player rejects.
-fn names<'a>(
-    args: &ReplayArgs,
-    bag: &BagReader,
-    playable: impl Iterator<Item = &'a str>,
-) -> Vec<String> {
+/// The topics to play: the planned ones, and those that the bag lacks, which the player rejects.
+fn names(args: &ReplayArgs, bag: &BagReader, plan: &PlaybackPlan) -> anyhow::Result<Vec<String>> {
     let is_missing = |name: &&String| !bag.topics().iter().any(|topic| topic.name == **name);
-    let mut names: Vec<String> = playable.map(str::to_owned).collect();
+    let mut names: Vec<String> = plan.topics.iter().map(|topic| topic.name.clone()).collect();
     names.dedup();
     names.extend(args.topics.iter().filter(is_missing).cloned());
-    names
+    if names.is_empty() && !plan.left_out.is_empty() {
+        bail!("{}: no topic can be published: {}", args.bag.display(), plan.left_out.join("; "));
+    }
+    Ok(names)
 }
 
 /// Publishes on the outputs; takes commands from keyboard, services and live page.
@@ -138,6 +152,7 @@ struct Session<'a> {
     view: Option<BagView>,
     /// Log times of the first and last message, if there is a status line.
     line: Option<[Option<Stamp>; 2]>,
+    bag: &'a BagReader,
     interrupt: &'a Interrupt,
 }
 
@@ -145,7 +160,7 @@ impl PlaybackSink for Session<'_> {
     type Error = anyhow::Error;
 
     fn message(&mut self, message: BagMessage, _: Duration) -> anyhow::Result<()> {
-        self.outputs.publish(&message)?;
+        self.outputs.publish(&message);
         if let Some(view) = &mut self.view {
             view.show(&message);
         }
@@ -167,6 +182,15 @@ impl PlaybackSink for Session<'_> {
         if let Some([start, end]) = self.line {
             terminal::show_status(&status_line(status, start, end, self.outputs.sent));
         }
+    }
+
+    fn long_pause(&mut self, pause: LongPause) {
+        tracing::warn!(
+            "{}: the next message follows in {}; --start-offset {} begins with it, --rate and the keys shorten the wait",
+            self.bag.path().display(),
+            HumanDuration(pause.wait),
+            pause.start_offset
+        );
     }
 
     fn is_stopped(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Options of a player, and why a bag cannot be played.
 
-use eddy_bag::BagError;
+use eddy_bag::{BagError, QosOverrides};
 use eddy_settings::near;
 
 /// Options of a [`Player`](super::Player).
@@ -20,6 +20,9 @@ pub struct PlayerOptions {
     pub clock: Option<f64>,
     /// Start paused.
     pub paused: bool,
+    /// Quality of service in place of the recorded one: what transient-local publishers had kept where playback begins is
+    /// published first.
+    pub overrides: QosOverrides,
 }
 
 impl Default for PlayerOptions {
@@ -32,6 +35,7 @@ impl Default for PlayerOptions {
             topics: None,
             clock: None,
             paused: false,
+            overrides: QosOverrides::new(),
         }
     }
 }

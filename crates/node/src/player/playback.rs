@@ -2,7 +2,7 @@
 
 use std::{thread, time::Duration};
 
-use super::{Due, PendingCommand, Player};
+use super::{Due, LongPause, PendingCommand, Player};
 use eddy_bag::{BagError, BagMessage};
 use eddy_frames::{Stamp, clock::Clock};
 
@@ -36,6 +36,11 @@ pub trait PlaybackSink {
         let _ = status;
     }
 
+    /// Tells the user that nothing is published for long; called once.
+    fn long_pause(&mut self, pause: LongPause) {
+        let _ = pause;
+    }
+
     /// Whether to end playback.
     fn is_stopped(&self) -> bool;
 }
@@ -60,12 +65,12 @@ pub fn play<S: PlaybackSink>(
     clock: &Clock,
     sink: &mut S,
 ) -> Result<(), S::Error> {
-    let mut shown: Option<Duration> = None;
+    let (mut shown, mut has_told_pause): (Option<Duration>, _) = (None, false);
     while !sink.is_stopped() {
         for pending in sink.commands() {
             let Some((command, responder)) = pending.accept() else { continue };
             let executed = player.execute(command, clock.now())?;
-            if let Some(message) = executed.message {
+            for message in executed.messages {
                 sink.message(message, clock.now())?;
             }
             responder.send(executed.outcome);
@@ -82,7 +87,13 @@ pub fn play<S: PlaybackSink>(
         let now = clock.now();
         match player.poll(now)? {
             Due::Now(message) => sink.message(message, now)?,
-            Due::In(wait) => thread::sleep(wait.min(MAX_SLEEP)),
+            Due::In(wait) => {
+                if !has_told_pause && let Some(pause) = player.long_pause(now) {
+                    has_told_pause = true;
+                    sink.long_pause(pause);
+                }
+                thread::sleep(wait.min(MAX_SLEEP));
+            }
             Due::Never => break,
         }
     }

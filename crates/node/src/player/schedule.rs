@@ -1,18 +1,20 @@
 //! Which message of a bag is due when.
 
-use std::time::Duration;
+use std::{collections::VecDeque, time::Duration};
 
 use super::{
     CommandOutcome, PlaybackStatus, PlayerCommand, PlayerError, PlayerOptions, Timeline,
     read_ahead::ReadAhead,
 };
-use eddy_bag::{BagError, BagMessage, BagReader, Selection};
+use eddy_bag::{BagError, BagMessage, BagReader, Selection, TopicInfo};
 use eddy_frames::Stamp;
 
 /// Interval at which a bag whose messages have one time is repeated (ns).
 const SINGLE_INSTANT_INTERVAL: f64 = 1e9;
 /// Factor of one step in rate (as in rosbag2's player).
 const RATE_STEP: f64 = 1.1;
+/// A pause of this duration (real time) is worth a word.
+const LONG_PAUSE: Duration = Duration::from_secs(60);
 /// Interval between polls while paused.
 const PAUSED_POLL: Duration = Duration::from_millis(20);
 
@@ -38,6 +40,9 @@ pub struct Player {
     first: f64,
     messages: ReadAhead,
     next: Option<BagMessage>,
+    /// Messages that transient-local publishers had kept where the pass, or playback after a seek, begins. They are due
+    /// there, also while the player is paused.
+    kept: VecDeque<BagMessage>,
     /// Damage found while reading the next message.
     fault: Option<BagError>,
     timeline: Timeline,
@@ -63,8 +68,17 @@ struct Pass {
 pub struct Executed {
     /// The outcome for the user.
     pub outcome: CommandOutcome,
-    /// A message to publish at once.
-    pub message: Option<BagMessage>,
+    /// Messages to publish at once.
+    pub messages: Vec<BagMessage>,
+}
+
+/// A long wait for the next message.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LongPause {
+    /// How long (real time).
+    pub wait: Duration,
+    /// `start-offset` with which playback begins at the next message, or up to a second before (recorded s).
+    pub start_offset: f64,
 }
 
 impl Player {
@@ -98,6 +112,7 @@ impl Player {
         let first = (next.log_time.0 - begin) as f64;
         let mut timeline = Timeline::new(options.rate);
         timeline.set_paused(options.paused, Duration::ZERO);
+        let kept = kept_at(bag, &options, begin);
         Ok(Self {
             bag: bag.clone(),
             options,
@@ -106,6 +121,7 @@ impl Player {
             first,
             messages,
             next: Some(next),
+            kept,
             fault: None,
             timeline,
             pass: Pass::default(),
@@ -119,7 +135,7 @@ impl Player {
     /// [`BagError`] when the bag can no longer be read.
     pub fn execute(&mut self, command: PlayerCommand, now: Duration) -> Result<Executed, BagError> {
         let line = &mut self.timeline;
-        let mut message = None;
+        let mut messages = Vec::new();
         let done = match command {
             PlayerCommand::Status => true,
             PlayerCommand::TogglePause => line.set_paused(!line.is_paused(), now),
@@ -135,12 +151,15 @@ impl Player {
                 self.seek(Stamp(to.saturating_add(Stamp::from_seconds(seconds).0)), now)?
             }
             PlayerCommand::Next => {
-                message = self.step(now);
-                message.is_some()
+                messages.extend(self.kept.drain(..));
+                let message = self.step(now);
+                let done = message.is_some();
+                messages.extend(message);
+                done
             }
         };
         let (rate, paused) = (self.timeline.rate(), self.timeline.is_paused());
-        Ok(Executed { outcome: CommandOutcome { done, rate, paused }, message })
+        Ok(Executed { outcome: CommandOutcome { done, rate, paused }, messages })
     }
 
     /// Takes the next message before it is due.
@@ -158,6 +177,7 @@ impl Player {
         // Damage is reported when playback reaches it.
         let Some(Ok(next)) = messages.next() else { return Ok(false) };
         (self.messages, self.next, self.fault) = (messages, Some(next), None);
+        self.kept = kept_at(&self.bag, &self.options, to);
         self.pass = Pass { origin: self.pass.origin, ..Pass::default() };
         self.timeline.jump(self.pass.origin + (to - self.begin) as f64, now);
         Ok(true)
@@ -173,6 +193,16 @@ impl Player {
     /// The recorded time at a playing time (ns).
     fn recorded(&self, position: f64) -> Stamp {
         Stamp(self.begin.saturating_add((position - self.pass.origin).max(0.0) as i64))
+    }
+
+    /// How long nothing is published from `now` on, if that is long.
+    pub fn long_pause(&self, now: Duration) -> Option<LongPause> {
+        let (next, due) = (self.next.as_ref()?, self.next_due()?);
+        // Paused by the user if there is no end.
+        let wait = Duration::try_from_secs_f64(self.timeline.until(due, now)? * 1e-9).ok()?;
+        let start = self.bag.start().unwrap_or_default();
+        let start_offset = Stamp(next.log_time.0.saturating_sub(start.0)).seconds().floor();
+        (wait >= LONG_PAUSE).then_some(LongPause { wait, start_offset })
     }
 
     /// The state of the player `now`.
@@ -211,6 +241,11 @@ impl Player {
     /// # Errors
     /// [`BagError`] when the bag is damaged, after all readable messages.
     pub fn poll(&mut self, now: Duration) -> Result<Due, BagError> {
+        if self.timeline.position(now) >= self.pass.origin
+            && let Some(kept) = self.kept.pop_front()
+        {
+            return Ok(Due::Now(kept));
+        }
         let Some(due) = self.next_due() else {
             return self.fault.take().map_or(Ok(Due::Never), Err);
         };
@@ -256,8 +291,30 @@ impl Player {
         };
         self.pass = Pass { origin: origin + last + interval - self.first, ..Pass::default() };
         self.messages = self.read(self.begin)?;
+        self.kept = kept_at(&self.bag, &self.options, self.begin);
         self.messages.next().transpose()
     }
+}
+
+/// The messages that transient-local publishers of the played topics had kept at a recorded time (ns), with this time as
+/// their log time.
+fn kept_at(bag: &BagReader, options: &PlayerOptions, at: i64) -> VecDeque<BagMessage> {
+    let depth_of = |topic: &TopicInfo| {
+        let is_played = options.topics.as_ref().is_none_or(|topics| topics.contains(&topic.name));
+        match options.overrides.get(&topic.name) {
+            _ if !is_played => 0,
+            Some(offered) => offered.kept(),
+            None => topic.kept(),
+        }
+    };
+    let mut kept = VecDeque::new();
+    for message in bag.kept_at(Stamp(at), depth_of) {
+        match message {
+            Ok(message) => kept.push_back(BagMessage { log_time: Stamp(at), ..message }),
+            Err(error) => tracing::warn!("messages kept before the start may be missing: {error}"),
+        }
+    }
+    kept
 }
 
 #[cfg(test)]

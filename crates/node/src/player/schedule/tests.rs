@@ -1,8 +1,12 @@
 use std::path::Path;
 
 use super::*;
-use eddy_bag::{BagWriter, WriterOptions};
-use eddy_messages::{Message, RosString, cdr};
+use eddy_bag::{BagWriter, QosOverrides, WriterOptions};
+use eddy_messages::{
+    Message, QosProfile, RosString, cdr,
+    qos::{DurabilityPolicy, HistoryPolicy},
+    type_support,
+};
 
 const MILLISECOND: i64 = 1_000_000;
 
@@ -88,18 +92,22 @@ fn a_paused_player_publishes_one_message_per_step_and_resumes_from_there() {
     let options = PlayerOptions { paused: true, ..PlayerOptions::default() };
     let mut player = Player::new(&bag, options).unwrap();
     let at = Duration::from_millis;
-    let time = |message: Option<BagMessage>| message.unwrap().log_time.0 / MILLISECOND;
     assert_eq!(player.poll(at(50)).unwrap(), Due::In(PAUSED_POLL));
-    assert_eq!(time(player.execute(PlayerCommand::Next, at(50)).unwrap().message), 0);
-    assert_eq!(time(player.execute(PlayerCommand::Next, at(60)).unwrap().message), 100);
+    assert_eq!(times(&player.execute(PlayerCommand::Next, at(50)).unwrap()), [0]);
+    assert_eq!(times(&player.execute(PlayerCommand::Next, at(60)).unwrap()), [100]);
     assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(PAUSED_POLL));
-    assert_eq!(player.execute(PlayerCommand::TogglePause, at(5_000)).unwrap().message, None);
+    assert_eq!(times(&player.execute(PlayerCommand::TogglePause, at(5_000)).unwrap()), []);
     assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(at(100)));
     assert!(matches!(player.poll(at(5_100)).unwrap(), Due::Now(_)));
     let outcome = player.execute(PlayerCommand::Faster, at(5_100)).unwrap().outcome;
     assert!((outcome.rate - 1.1).abs() < 1e-12);
     let Due::In(wait) = player.poll(at(5_100)).unwrap() else { panic!("too early") };
     assert!((wait.as_secs_f64() - 0.1 / 1.1).abs() < 1e-6, "{wait:?}");
+}
+
+/// Recorded times of the messages to publish at once (ms).
+fn times(executed: &Executed) -> Vec<i64> {
+    executed.messages.iter().map(|message| message.log_time.0 / MILLISECOND).collect()
 }
 
 /// Recorded time of the message that is due (ms).
@@ -148,7 +156,7 @@ fn a_paused_player_stays_paused_at_the_time_it_seeks_and_its_clock_shows_it() {
     assert_eq!(player.tick(at(20)).unwrap().0, 1500 * MILLISECOND);
     assert_eq!(player.poll(at(20)).unwrap(), Due::In(PAUSED_POLL));
     let executed = player.execute(PlayerCommand::Next, at(30)).unwrap();
-    assert_eq!(executed.message.unwrap().log_time.0, 2000 * MILLISECOND);
+    assert_eq!(times(&executed), [2000]);
     assert!(executed.outcome.paused && executed.outcome.done);
     let executed = player.execute(PlayerCommand::Skip(-0.7), at(40)).unwrap();
     assert!(executed.outcome.done);
@@ -222,4 +230,106 @@ fn invalid_options_are_rejected() {
         let message = Player::new(&bag, options).err().unwrap().to_string();
         assert!(message.contains(expected), "{message}");
     }
+}
+
+/// QoS of publishers that keep their last message.
+fn latched() -> QosProfile {
+    let (durability, history) = (DurabilityPolicy::TransientLocal, HistoryPolicy::KeepLast(1));
+    QosProfile { durability, history, ..QosProfile::default() }
+}
+
+/// A bag with messages on `/a` at these times (ms), and on `/map`, whose publisher keeps the last message, at others; each with
+/// its time as text.
+fn bag_with_map(directory: &Path, times: &[i64], maps: &[i64]) -> BagReader {
+    let path = directory.join("bag");
+    let mut writer = BagWriter::create(&path, WriterOptions::default()).unwrap();
+    let words = type_support(RosString::TYPE).unwrap();
+    for (name, offered, times) in [("/a", QosProfile::default(), times), ("/map", latched(), maps)]
+    {
+        let topic = writer.offered_topic(name, words, &[offered]).unwrap();
+        for time in times {
+            let stamp = Stamp(time * MILLISECOND);
+            let data = cdr::encode(&RosString { data: time.to_string() });
+            writer.write(topic, stamp, stamp, &data).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    BagReader::open(&path).unwrap()
+}
+
+/// Topics and texts of the messages that are due, up to the next wait.
+fn all_due(player: &mut Player, now: u64) -> Vec<String> {
+    let mut due = Vec::new();
+    while let Due::Now(message) = player.poll(Duration::from_millis(now)).unwrap() {
+        due.push(text(&message));
+    }
+    due
+}
+
+fn text(message: &BagMessage) -> String {
+    let word: RosString = cdr::decode(&message.data).unwrap();
+    format!("{} {}", message.topic, word.data)
+}
+
+#[test]
+fn what_publishers_had_kept_comes_first_at_an_offset_and_after_a_seek() {
+    let directory = tempfile::tempdir().unwrap();
+    let bag = bag_with_map(directory.path(), &[100, 200, 300, 400, 500], &[100, 150, 350]);
+    let options = PlayerOptions { start_offset: 0.2, ..PlayerOptions::default() };
+    let mut player = Player::new(&bag, options.clone()).unwrap();
+    assert_eq!(all_due(&mut player, 0), ["/map 150", "/a 300"]);
+    assert_eq!(all_due(&mut player, 50), ["/map 350"]);
+    assert!(seek(&mut player, 450, 60));
+    assert_eq!(all_due(&mut player, 60), ["/map 350"]);
+    assert!(seek(&mut player, 310, 70));
+    assert_eq!(all_due(&mut player, 70), ["/map 150"], "what a subscriber would have had then");
+    assert!(seek(&mut player, 310, 80));
+    let executed = player.execute(PlayerCommand::Next, Duration::from_millis(80)).unwrap();
+    let texts: Vec<_> = executed.messages.iter().map(text).collect();
+    assert_eq!(texts, ["/map 150", "/map 350"], "before the message of a step");
+
+    let paused = PlayerOptions { paused: true, ..options.clone() };
+    let mut player = Player::new(&bag, paused).unwrap();
+    assert_eq!(all_due(&mut player, 0), ["/map 150"], "also before the player resumes");
+
+    // Other topics, and what the user says about the quality of service.
+    let topics = Some(vec!["/a".to_owned()]);
+    let mut player = Player::new(&bag, PlayerOptions { topics, ..options.clone() }).unwrap();
+    assert_eq!(all_due(&mut player, 0), ["/a 300"]);
+    let volatile = QosOverrides::from([("/map".to_owned(), QosProfile::default())]);
+    let mut player = Player::new(&bag, PlayerOptions { overrides: volatile, ..options }).unwrap();
+    assert_eq!(all_due(&mut player, 0), ["/a 300"]);
+}
+
+#[test]
+fn each_pass_of_a_loop_begins_with_what_publishers_had_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    let bag = bag_with_map(directory.path(), &[100, 200, 220, 240], &[100]);
+    let options = PlayerOptions { start_offset: 0.1, looped: true, ..PlayerOptions::default() };
+    let expected = [(0, 200), (0, 200), (20, 220), (40, 240)];
+    let again = expected.map(|(due, recorded)| (due + 60, recorded));
+    assert_eq!(play(&bag, options, 100), [expected, again].concat());
+}
+
+#[test]
+fn a_long_pause_is_told_with_the_offset_that_skips_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let later = 1_700_000_000_500;
+    let bag = bag(directory.path(), &[0, later, later + 59_000]);
+    let mut player = Player::new(&bag, PlayerOptions::default()).unwrap();
+    let now = Duration::ZERO;
+    assert_eq!(player.long_pause(now), None, "the first message is due");
+    assert_eq!(due(&mut player, 0), 0);
+    let pause = player.long_pause(now).unwrap();
+    assert_eq!((pause.wait.as_secs(), pause.start_offset), (1_700_000_000, 1.7e9));
+    let start_offset = pause.start_offset;
+    let mut player =
+        Player::new(&bag, PlayerOptions { start_offset, ..PlayerOptions::default() }).unwrap();
+    assert_eq!(player.long_pause(now), None);
+    assert_eq!(due(&mut player, 500), later);
+    assert_eq!(player.long_pause(Duration::from_millis(500)), None, "59 s are no long pause");
+    let rate = 1e9;
+    let mut player = Player::new(&bag, PlayerOptions { rate, ..PlayerOptions::default() }).unwrap();
+    assert_eq!(due(&mut player, 0), 0);
+    assert_eq!(player.long_pause(now), None, "in real time");
 }
