@@ -68,7 +68,7 @@ pub struct ServiceCallArgs {
 #[derive(Debug, Args)]
 pub struct SearchArgs {
     /// Transports to search; discovery on dds takes several seconds.
-    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh"])]
+    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh"], env = "EDDY_TRANSPORT", hide_env_values = true)]
     pub from: Vec<TransportKind>,
     /// Search time (s).
     #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = values::seconds)]

@@ -33,7 +33,7 @@ pub enum TopicCommand {
 #[derive(Debug, Args)]
 pub struct TopicListArgs {
     /// Transports to search; discovery on dds takes several seconds.
-    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
+    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"], env = "EDDY_TRANSPORT", hide_env_values = true)]
     pub from: Vec<TransportKind>,
     /// Show the types, which is the default; for commands written for `ros2 topic list`.
     #[arg(long, short = 't', hide = true)]

@@ -25,6 +25,7 @@ mod interrupt;
 mod keyboard;
 mod output;
 mod progress;
+mod search;
 mod streams;
 mod surrogate;
 
@@ -55,6 +56,12 @@ use crate::terminal;
 /// Rejects links that no other process can use.
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
     Ok(link.leaves_the_process().map_err(Usage::new)?)
+}
+
+/// Rejects transports that no other process can use.
+pub(crate) fn leave_the_process(transports: &[TransportKind]) -> anyhow::Result<()> {
+    let link = |&transport: &TransportKind| Link { transport, topic: "/".to_owned() };
+    transports.iter().map(link).try_for_each(|link| leaves_the_process(&link))
 }
 
 /// Rejects parameters given to this node: only `eddy node` has parameters.

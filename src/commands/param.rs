@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 
 use super::{
     Interrupt,
-    service::{has_services, search},
+    service::{has_services, search_services},
 };
 use crate::cli::{ParamArgs, ParamCommand};
 use eddy_messages::services::Parameter;
@@ -33,15 +33,16 @@ pub fn run(args: ParamArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
             client.names()?.iter().for_each(|name| println!("{name}"));
         }
         ParamCommand::List { node: None, search: args } => {
-            let nodes = search(&args, interrupt, |transport| {
+            let found = search_services(&args, interrupt, |transport| {
                 Ok(nodes_with_parameters(&transports, transport)?.into_iter().collect())
             })?;
-            for node in nodes {
+            for node in &found.all {
                 println!("{node}:");
-                if let Some(client) = open(node)? {
+                if let Some(client) = open(node.clone())? {
                     client.names()?.iter().for_each(|name| println!("  {name}"));
                 }
             }
+            found.check()?;
         }
         ParamCommand::Get { node, name, hide_type } => {
             let shown = node.clone();

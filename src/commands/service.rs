@@ -1,12 +1,14 @@
 //! `eddy service`: services, without ROS.
 
-use std::{collections::BTreeSet, thread, time::Duration};
+use std::time::Duration;
 
 use anyhow::Context as _;
 
-use super::{Interrupt, leaves_the_process};
+use super::{
+    Interrupt, leaves_the_process,
+    search::{Found, search},
+};
 use crate::cli::{SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand, ServiceListArgs};
-use eddy_frames::clock::Clock;
 use eddy_node::clients::{Definitions, ServiceClient, find_service};
 use eddy_settings::ensure_usage;
 use eddy_transport::{Link, TransportError, TransportKind, TransportOptions, Transports};
@@ -15,8 +17,6 @@ use eddy_transport::{Link, TransportError, TransportKind, TransportOptions, Tran
 const NAME: &str = "eddy_service";
 /// How long to wait for a service.
 const FIND_TIMEOUT: Duration = Duration::from_secs(10);
-/// Interval between searches.
-const SEARCH_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs the subcommand.
 pub fn run(args: ServiceArgs, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -40,38 +40,25 @@ fn list(
     transports: &Transports,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let services = search(&args.search, interrupt, |transport| transports.services(transport))?;
-    for service in services {
+    let found =
+        search_services(&args.search, interrupt, |transport| transports.services(transport))?;
+    for service in &found.all {
         match args.show_types {
             true => println!("{} [{}]", service.link, service.type_name),
             false => println!("{}", service.link),
         }
     }
-    Ok(())
+    found.check()
 }
 
 /// What is found on the transports within the search time.
-pub(super) fn search<T: Ord>(
+pub(super) fn search_services<T: Ord>(
     args: &SearchArgs,
     interrupt: &Interrupt,
     on: impl Fn(TransportKind) -> Result<Vec<T>, TransportError>,
-) -> anyhow::Result<BTreeSet<T>> {
+) -> anyhow::Result<Found<T>> {
     args.from.iter().try_for_each(|&transport| has_services(transport))?;
-    let mut found = BTreeSet::new();
-    let mut look = || -> Result<(), TransportError> {
-        args.from.iter().try_for_each(|&transport| {
-            found.extend(on(transport)?);
-            Ok(())
-        })
-    };
-    // Before the clock starts: opening a transport takes time.
-    look()?;
-    let clock = Clock::start();
-    while clock.now() < Duration::from_secs_f64(args.wait) && !interrupt.requested() {
-        thread::sleep(SEARCH_INTERVAL);
-        look()?;
-    }
-    Ok(found)
+    Ok(search(&args.from, args.wait, interrupt, on))
 }
 
 /// Rejects transports without services.
