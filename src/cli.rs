@@ -259,7 +259,8 @@ pub struct DemoArgs {
 /// `eddy record`
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// Links to record, for example /particles zenoh:/prediction shm:/particles; transports are shm, zenoh and dds.
+    /// Links to record, for example /particles zenoh:/prediction shm:/particles; transports are shm, zenoh and dds. Those that
+    /// are not published yet are waited for.
     #[arg(value_name = "LINK", required_unless_present_any = ["all", "regex"], value_parser = Link::from_argument)]
     pub links: Vec<Link>,
     /// Record all topics, including those that appear later.
@@ -272,7 +273,7 @@ pub struct RecordArgs {
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
     /// Transports on which --all and --regex search; a topic on several transports is recorded once.
-    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"])]
+    #[arg(long, value_name = "TRANSPORT", value_delimiter = ',', default_values = ["zenoh", "shm"], env = "EDDY_TRANSPORT", hide_env_values = true)]
     pub from: Vec<TransportKind>,
     /// Output bag [default: eddy_DATE-TIME, in UTC].
     #[arg(long, short, value_name = "BAG")]
@@ -290,7 +291,7 @@ pub struct RecordArgs {
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub stop_after: Option<f64>,
     /// Stop after this number of messages.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_messages: Option<u64>,
     /// Memory for messages waiting to be written (bytes). When it is full, blocking publishers wait up to 5 s; after that,
     /// and from other publishers, messages are dropped and counted.

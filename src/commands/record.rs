@@ -7,11 +7,11 @@ use std::{
     time::Duration,
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 use super::{
-    Interrupt, checked_custom_data, has_no_parameters, leaves_the_process,
+    Interrupt, checked_custom_data, counted, has_no_parameters, leaves_the_process,
     output::{Output, OutputKind, unused},
 };
 use crate::cli::RecordArgs;
@@ -23,19 +23,13 @@ use eddy_frames::{
     clock::{self, Clock},
     date::Utc,
 };
-use eddy_messages::topic_type;
 use eddy_node::{
     Losses, RecordError, Recorder, RecordingOptions, TopicDiscovery, record,
     recorder::{Reasons, TopicOpener},
     ros::RosNode,
-    topics::find_topics,
 };
 use eddy_settings::usage::Usage;
-use eddy_transport::{SeenTopic, Transports};
-
-/// How long to look for the publishers of the links, which announce type and QoS. Without a publisher, the type of a link
-/// follows from its name.
-const FIND_TIMEOUT: Duration = Duration::from_millis(700);
+use eddy_transport::Transports;
 
 /// Records until a limit, a failure or a signal, and closes the bag in each case.
 pub fn run(
@@ -45,8 +39,6 @@ pub fn run(
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
     has_no_parameters(ros)?;
-    // The type of a topic follows from its name before remapping.
-    let types: Vec<_> = args.links.iter().map(|link| topic_type(&link.topic).to_owned()).collect();
     args.links.iter_mut().for_each(|link| *link = ros.link(link));
     check(&args)?;
     let custom_data = checked_custom_data(&args.custom_data)?;
@@ -54,20 +46,15 @@ pub fn run(
     let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
     let opener =
         TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);
-    let published = find_topics(&transports, &args.links, FIND_TIMEOUT, || interrupt.requested())?;
-    let mut inputs = Vec::new();
-    for ((link, type_name), published) in args.links.iter().zip(types).zip(published) {
-        let topic = published.unwrap_or_else(|| SeenTopic::new(link.clone(), type_name));
-        inputs.push(opener.open(topic)?);
-    }
-    let known = args.links.iter().map(|link| link.topic.clone()).collect();
     let choice = TopicFilter {
         names: Vec::new(),
         regex: args.regex.clone(),
         exclude: args.exclude.clone(),
         all: args.all,
     };
-    let discovery = TopicDiscovery::new(opener, args.from.clone(), choice, known);
+    let is_search = !choice.is_empty();
+    let discovery = TopicDiscovery::new(opener, args.links.clone(), args.from.clone(), choice);
+    discovery.open()?;
     let split = Split {
         size: args.max_bag_size,
         duration: args.max_bag_duration.map(Duration::from_secs_f64),
@@ -81,28 +68,48 @@ pub fn run(
     let mut recorder = Recorder::new(bag, clock::wall());
     let clock = Clock::start();
     let line = live_line(quiet);
-    let output = place.display();
+    println!("recording into {}", place.display());
     let options = RecordingOptions {
-        required: &args.links,
         cache_bytes: args.max_cache_size,
         max_messages: args.max_messages,
         stop_after: args.stop_after.map(Duration::from_secs_f64),
         interrupted: interrupt.flag(),
-        on_topic: &|topic| {
-            println!("recording {} ({}) into {output}", topic.link, topic.type_name);
+        on_topic: &|topic| println!("recording {} ({})", topic.link, topic.type_name),
+        on_waiting: &|links| {
+            for link in links {
+                println!("waiting for {link}, which is not published yet");
+            }
         },
         on_progress: &|messages, time| {
             line.set_message(format!("{messages} messages, {:.0} s", time.as_secs_f64()));
         },
     };
-    let (outcome, losses) = record(&mut recorder, inputs, &discovery, &options);
+    let (outcome, losses) = record(&mut recorder, &discovery, &options);
     line.finish_and_clear();
     recorder.count_dropped(losses.total());
-    let failed = discovery.failed().into_values().flatten().collect();
-    note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &failed);
-    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &discovery.ended());
-    end(recorder, outcome, &losses, clock.now().as_secs_f64())?;
+    let (not_recorded, in_part) = (discovery.not_recorded(), discovery.ended());
+    note(&mut recorder, TOPICS_NOT_RECORDED, "not recorded", &not_recorded);
+    note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &in_part);
+    let bag = end(recorder, outcome, &losses, clock.now().as_secs_f64())?;
     room.replaced();
+    let undefined = bag.topics.iter().filter(|topic| !topic.has_definition()).count();
+    let missing: Vec<String> = [
+        (not_recorded.len(), "not recorded"),
+        (in_part.len(), "recorded in part"),
+        (undefined, "recorded without a definition"),
+    ]
+    .into_iter()
+    .filter(|(topics, _)| *topics > 0)
+    .map(|(topics, what)| format!("{} {what}", counted(topics as u64, "topic")))
+    .collect();
+    let shown = bag.directory.display();
+    ensure!(missing.is_empty(), "{shown}: {}", missing.join(", "));
+    let from: Vec<_> = args.from.iter().map(ToString::to_string).collect();
+    ensure!(
+        !is_search || !bag.topics.is_empty(),
+        "{shown}: found no topic to record on {}; --from selects transports",
+        from.join(", ")
+    );
     Ok(())
 }
 
@@ -131,7 +138,7 @@ fn check(args: &RecordArgs) -> anyhow::Result<()> {
         return Err(Usage::new(message).into());
     }
     args.links.iter().try_for_each(leaves_the_process)?;
-    Ok(())
+    super::leave_the_process(&args.from)
 }
 
 /// Closes the bag and prints a summary.
@@ -140,7 +147,7 @@ fn end(
     outcome: Result<(), RecordError>,
     losses: &Losses,
     seconds: f64,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<BagSummary> {
     let unfinished = recorder.bag().active_file().to_owned();
     let kept = || format!("recorded data stays in {}", unfinished.display());
     let failure = match outcome {
@@ -160,7 +167,7 @@ fn end(
         None if bag.lost > 0 => bail!(disk_full(&bag, losses)),
         Some(failure) if bag.lost > 0 => Err(failure).context(disk_full(&bag, losses)),
         Some(failure) => Err(failure),
-        None => Ok(()),
+        None => Ok(bag),
     }
 }
 

@@ -188,6 +188,170 @@ fn a_link_is_recorded_with_the_type_that_its_publisher_announces() {
 }
 
 #[test]
+fn a_recorder_that_is_first_waits_for_the_publisher_and_has_its_type_and_quality_of_service() {
+    for transport in ["zenoh", "dds", "shm"] {
+        let world = World::in_domain("record", domain());
+        // Its name promises nothing.
+        let link = world.link(transport, "robot_description");
+        let mut recorder =
+            Process::start(&mut world.record(&[&link.to_string(), "--max-messages", "3"]));
+        recorder.line(&format!("waiting for {link}, which is not published yet"));
+        let (block, words) = (Reliability::Block, type_support(RosString::TYPE).unwrap());
+        let mut publisher =
+            world.transports.offering_publisher_of(&link, words, block, Some(latched(1))).unwrap();
+        wait_for_a_subscriber(&*publisher);
+        for text in ["one", "two", "three"] {
+            publisher.publish_cdr(&word(text)).unwrap();
+        }
+        assert!(recorder.wait().success(), "{transport}");
+        let bag = BagReader::open(&world.bag()).unwrap();
+        let topic = &bag.topics()[0];
+        assert_eq!((topic.type_name.as_str(), topic.message_count), (RosString::TYPE, 3));
+        assert!(topic.has_definition());
+        let expected = match transport {
+            // Discovery has no history, and shared memory no quality of service.
+            "dds" => QosProfile { history: HistoryPolicy::Unknown, ..latched(1) },
+            "shm" => QosProfile::default(),
+            _ => latched(1),
+        };
+        assert_eq!(topic.offered, [expected], "{transport}");
+    }
+}
+
+#[test]
+fn a_link_that_nobody_publishes_is_named_and_not_in_the_bag() {
+    for transport in ["zenoh", "dds", "shm"] {
+        let world = World::in_domain("record", domain());
+        let mut publisher = world.words(transport, "words");
+        let [nothing, words] = ["nothing", "words"].map(|name| world.link(transport, name));
+        let mut recorder =
+            Process::start(&mut world.record(&[&nothing.to_string(), &words.to_string()]));
+        recorder.line(&format!("waiting for {nothing}, "));
+        wait_for_a_subscriber(&*publisher);
+        publisher.publish_cdr(&word("one")).unwrap();
+        recorder.interrupt();
+        assert_eq!(recorder.wait().code(), Some(1), "{transport}");
+        let said = recorder.rest();
+        assert!(said.contains(&format!("not recorded: {nothing}: not published\n")), "{said}");
+        let bag = BagReader::open(&world.bag()).unwrap();
+        let topics: Vec<_> = bag.topics().iter().map(|topic| topic.name.clone()).collect();
+        assert_eq!((topics, bag.message_count()), (vec![world.topic("words")], 1));
+        let metadata = fs::read_to_string(world.bag().join("metadata.yaml")).unwrap();
+        let is_named = metadata.lines().any(|line| {
+            line.contains("eddy_topics_not_recorded") && line.contains(&nothing.to_string())
+        });
+        assert!(is_named, "{metadata}");
+    }
+}
+
+#[test]
+fn a_search_that_finds_nothing_says_so_in_its_exit_code() {
+    let world = World::new("record");
+    let pattern = format!("^{}/", world.prefix);
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let mut command = world.record(&["--regex", &pattern, "--from", "shm", "--stop-after", "0.5"]);
+    command.stderr(log.reopen().unwrap());
+    assert_eq!(Process::start(&mut command).wait().code(), Some(1));
+    let said = fs::read_to_string(log.path()).unwrap();
+    assert!(said.contains("found no topic to record on shm; --from selects"), "{said}");
+}
+
+#[test]
+fn the_default_transport_is_the_one_that_is_searched() {
+    let world = World::in_domain("record", domain());
+    let mut publisher = world.words("dds", "words");
+    let pattern = format!("^{}/", world.prefix);
+    let mut command = world.record(&["--regex", &pattern, "--max-messages", "1"]);
+    let mut recorder = Process::start(command.env("EDDY_TRANSPORT", "dds"));
+    wait_for_a_subscriber(&*publisher);
+    publisher.publish_cdr(&word("one")).unwrap();
+    assert!(recorder.wait().success());
+}
+
+/// Nobody answers for the definition, which is asked for a few seconds; a subscriber of zenoh has room for 64 messages.
+#[test]
+fn no_message_is_lost_while_the_definition_is_looked_for() {
+    let world = World::new("record");
+    let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", &format!("RIHS01_{}", "3".repeat(64)));
+    let link = world.link("zenoh", "imu");
+    let arguments = [link.to_string(), "--max-messages".to_owned(), "1000".to_owned()];
+    let mut recorder = Process::start(&mut world.record(&arguments.each_ref().map(String::as_str)));
+    let mut publisher = world.transports.publisher_of(&link, &foreign, Reliability::Drop).unwrap();
+    wait_for_a_subscriber(&*publisher);
+    let before = clock::wall();
+    for number in 0..1_000_u16 {
+        let [low, high] = number.to_le_bytes();
+        publisher.publish_cdr(&[0, 1, 0, 0, low, high]).unwrap();
+        thread::sleep(Duration::from_millis(1));
+    }
+    let after = clock::wall();
+    assert_eq!(recorder.wait().code(), Some(1), "no definition was found");
+    let bag = BagReader::open(&world.bag()).unwrap();
+    let messages: Vec<_> = bag.messages().map(Result::unwrap).collect();
+    assert_eq!(messages.len(), 1_000);
+    for (number, message) in (0..1_000_u16).zip(&messages) {
+        assert_eq!(message.data[4..], number.to_le_bytes());
+    }
+    // Times of arrival, not of the end of the search.
+    let [first, last] = [&messages[0], &messages[999]].map(|message| message.log_time);
+    assert!(before <= first && last.0 - first.0 >= 500_000_000, "{before:?} {first:?} {last:?}");
+    assert!(last.0 - after.0 < 1_000_000_000, "{after:?} {last:?}");
+}
+
+#[test]
+fn another_type_on_a_recorded_topic_is_named() {
+    let world = World::new("record");
+    let mut words = world.words("zenoh", "topic");
+    let pattern = format!("^{}/", world.prefix);
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let mut command = world.record(&["--regex", &pattern, "--from", "zenoh"]);
+    let mut recorder = Process::start(command.stderr(log.reopen().unwrap()));
+    wait_for_a_subscriber(&*words);
+    words.publish_cdr(&word("one")).unwrap();
+    let _numbers = world.publisher("zenoh", "topic", "std_msgs/msg/Int32");
+    let warned = "found message type std_msgs/msg/Int32 (RIHS01_";
+    wait_for("the other type is found", || {
+        fs::read_to_string(log.path()).unwrap().contains(warned).then_some(())
+    });
+    recorder.interrupt();
+    assert_eq!(recorder.wait().code(), Some(1));
+    let said = recorder.rest();
+    let expected = format!("not recorded: zenoh:{}(std_msgs/msg/Int32): ", world.topic("topic"));
+    assert!(said.contains(&expected), "{said}");
+    assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), 1);
+}
+
+#[test]
+fn a_bag_that_is_being_recorded_is_not_replaced() {
+    let world = World::new("record");
+    let mut publisher = world.words("shm", "words");
+    let mut recorder = Process::start(&mut world.record_words(&["--force"]));
+    wait_for_a_subscriber(&*publisher);
+    publisher.publish_cdr(&word("one")).unwrap();
+    let (bag, link) = (world.bag(), world.link("shm", "words").to_string());
+    let bag = bag.to_str().unwrap();
+    let message = fail(1, ["record", &link, "--output", bag, "--force"]);
+    assert!(message.contains("another process is writing"), "{message}");
+    // So is every other command.
+    let message = fail(1, ["bag", "cut", "bags/sample", "--output", bag, "--force"]);
+    assert!(message.contains("another process is writing"), "{message}");
+    publisher.publish_cdr(&word("two")).unwrap();
+    recorder.interrupt();
+    assert!(recorder.wait().success());
+    assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), 2);
+    assert_eq!(findings(&world.bag()), [""; 0]);
+    // That of a killed recorder is.
+    let mut killed = Process::start(&mut world.record_words(&["--force"]));
+    killed.line("recording shm:");
+    killed.kill();
+    let mut recorder = Process::start(&mut world.record_words(&["--force", "--max-messages", "1"]));
+    wait_for_a_subscriber(&*publisher);
+    publisher.publish_cdr(&word("three")).unwrap();
+    assert!(recorder.wait().success());
+    assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), 1);
+}
+
+#[test]
 fn a_type_without_a_definition_is_named_and_its_schema_has_only_its_name() {
     let world = World::new("record");
     let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", "");
@@ -198,7 +362,7 @@ fn a_type_without_a_definition_is_named_and_its_schema_has_only_its_name() {
     let mut recorder = Process::start(&mut world.record(&arguments));
     wait_for_a_subscriber(&*publisher);
     publisher.publish_cdr(&[0, 1, 0, 0, 42]).unwrap();
-    assert!(recorder.wait().success());
+    assert_eq!(recorder.wait().code(), Some(1));
     let topic = world.topic("imu");
     let expected = format!("no definition: {topic} (acme_msgs/msg/Imu)\n");
     assert!(recorder.rest().contains(&expected));
@@ -226,7 +390,8 @@ fn everything_that_is_published_is_found_also_later_and_of_types_nobody_knows_he
     wait_for_a_subscriber(&*later);
     later.publish_cdr(&[0, 1, 0, 0, 42]).unwrap();
     assert_eq!(secret.subscribers(), 0);
-    assert!(recorder.wait().success());
+    // Nobody tells the definition.
+    assert_eq!(recorder.wait().code(), Some(1));
 
     let bag = BagReader::open(&world.bag()).unwrap();
     let topics: Vec<_> = bag
@@ -441,7 +606,7 @@ fn a_topic_that_cannot_be_had_is_named_and_tried_again_while_the_others_are_reco
     again.publish_cdr(&status).unwrap();
     good.publish_cdr(&word("three")).unwrap();
     terminate(&recorder);
-    assert!(recorder.wait().success());
+    assert_eq!(recorder.wait().code(), Some(1));
     let said = recorder.rest();
     let failed = format!("not recorded: shm:{}/lasting/status: ", world.prefix);
     assert_eq!(said.matches("not recorded: ").count(), 1, "{said}");
@@ -495,6 +660,8 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
         (2, vec![], "LINK"),
         (2, vec!["--regex", "(", "--from", "shm"], "regex parse error"),
         (2, vec!["shm:/a", "--max-bag-size", "0"], "--max-bag-size"),
+        (2, vec!["shm:/a", "--max-messages", "0"], "--max-messages"),
+        (2, vec!["--all", "--from", "memory"], "memory links stay within one process"),
         (2, vec!["shm:/a", "--max-duration", "0"], "--max-bag-duration <SECONDS>"),
         (2, vec!["shm:/a", "--max-bag-duration", "0"], "expected more than 0"),
         (2, vec!["shm:/a", "--stop-after", "nan"], "expected more than 0"),

@@ -187,3 +187,46 @@ fn ros_users_find_what_they_type() {
     assert_eq!(wrong.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&wrong.stderr).contains("did you mean shm?"));
 }
+
+#[test]
+fn a_transport_that_fails_is_named_after_the_topics_of_the_others() {
+    let prefix = unique("failing");
+    let _replay = replay("shm", "drop", &prefix);
+    for (from, expected) in [("shm,dds", 1), ("dds,shm", 1), ("shm", 0)] {
+        let mut command = talking_eddy();
+        command.args(["topic", "list", "--from", from, "--wait", "0.1"]);
+        // DDS links are rejected.
+        let output = command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF").output().unwrap();
+        let listed = String::from_utf8(output.stdout).unwrap();
+        assert!(listed.contains(&format!("shm:/{prefix}/particles")), "{listed}");
+        let logged = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(expected), "{logged}");
+        assert_eq!(logged.contains("cannot search dds: "), expected == 1, "{logged}");
+    }
+}
+
+#[test]
+fn the_default_transport_is_the_one_that_is_listed() {
+    let prefix = unique("default");
+    let _replay = replay("shm", "drop", &prefix);
+    let link = format!("shm:/{prefix}/particles");
+    for (default, is_listed) in [("shm", true), ("zenoh", false), ("", true)] {
+        let mut command = talking_eddy();
+        command.args(["topic", "list", "--wait", "0.1"]).env("EDDY_TRANSPORT", default);
+        let output = command.output().unwrap();
+        let listed = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(listed.contains(&link), is_listed, "{default}: {listed}");
+    }
+}
+
+#[test]
+fn who_looks_on_another_transport_is_told_where_the_topics_are() {
+    let prefix = unique("elsewhere");
+    let _replay = replay("shm", "drop", &prefix);
+    let link = format!("zenoh:/{prefix}/particles");
+    let message = fail(1, ["topic", "hz", &link, "--duration", "1"]);
+    let (_, others) = message.rsplit_once("available topics on zenoh: ").unwrap();
+    let (_, on_shm) = others.split_once("; on shm: ").unwrap_or_else(|| panic!("{message}"));
+    assert!(on_shm.contains(&format!("/{prefix}/particles")), "{message}");
+}

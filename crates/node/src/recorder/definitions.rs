@@ -5,23 +5,30 @@ use std::{
     collections::HashMap,
     fs,
     path::PathBuf,
-    sync::{Mutex, PoisonError},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
     time::Duration,
 };
 
 use eddy_bag::QosOverrides;
+use eddy_frames::clock::Clock;
 use eddy_messages::{InvalidDefinition, TypeSupport, built_in_text};
 use eddy_transport::{SeenTopic, Subscriber, TransportError, Transports};
 
 /// How long the publisher of a type may take to tell its definition.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long publishers are asked again that do not tell it: those that have just started may not offer the service yet.
+const ASKING_TIME: Duration = Duration::from_secs(3);
+/// Interval between questions.
+const ASKING_INTERVAL: Duration = Duration::from_millis(100);
 
 /// A topic that is subscribed to.
 pub struct OpenTopic {
     /// Where it was found.
     pub topic: SeenTopic,
-    /// Its type; without a definition if none was found.
-    pub support: TypeSupport,
     /// Receives its messages.
     pub subscriber: Box<dyn Subscriber>,
 }
@@ -44,17 +51,24 @@ impl TopicOpener {
         &self.transports
     }
 
-    /// Subscribes to a topic. Its messages wait in the queue of the subscriber while the definition is looked for.
+    /// Subscribes to a topic.
     ///
     /// # Errors
     /// [`TransportError`] when it cannot be subscribed to.
-    pub fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
-        let known = topic.type_support();
+    pub(super) fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
         let requested = self.overrides.get(&topic.link.topic).copied();
+        let support = topic.type_support();
         let subscriber =
-            self.transports.requesting_subscriber_of(&topic.link, &known, requested)?;
+            self.transports.requesting_subscriber_of(&topic.link, &support, requested)?;
+        Ok(OpenTopic { topic, subscriber })
+    }
+
+    /// The type of a topic; without a definition, and with a warning, if none is found. Takes a few seconds if publishers do
+    /// not answer, less once `stop` is raised.
+    pub(super) fn type_of(&self, topic: &SeenTopic, stop: &AtomicBool) -> TypeSupport {
+        let known = topic.type_support();
         let mut support = match known.schema.is_empty() {
-            true => self.definitions.of(&topic, &self.transports),
+            true => self.definitions.of(topic, &self.transports, stop),
             false => known,
         };
         if support.name.contains("/srv/") {
@@ -62,7 +76,7 @@ impl TopicOpener {
             // refuses the whole bag. The hash follows from the definition.
             support.hash.clear();
         }
-        Ok(OpenTopic { topic, support, subscriber })
+        support
     }
 }
 
@@ -80,19 +94,19 @@ impl Definitions {
 
     /// The type of a topic: from an installation of ROS 2, or from the topic's publisher. Without a definition, and with
     /// a warning, if neither has one.
-    fn of(&self, topic: &SeenTopic, transports: &Transports) -> TypeSupport {
+    fn of(&self, topic: &SeenTopic, transports: &Transports, stop: &AtomicBool) -> TypeSupport {
         let key = (topic.type_name.clone(), topic.hash.clone());
         // A panic in another thread leaves it consistent: every change is one insertion.
         let found = || self.found.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = found().get(&key) {
             return known.clone();
         }
-        let support = self.search(topic, transports);
+        let support = self.search(topic, transports, stop);
         found().insert(key, support.clone());
         support
     }
 
-    fn search(&self, topic: &SeenTopic, transports: &Transports) -> TypeSupport {
+    fn search(&self, topic: &SeenTopic, transports: &Transports, stop: &AtomicBool) -> TypeSupport {
         let SeenTopic { link, type_name, hash, .. } = topic;
         let hash = hash.as_deref().unwrap_or_default();
         let mut reasons = Vec::new();
@@ -101,7 +115,7 @@ impl Definitions {
             Err(InvalidDefinition::Missing { type_name, of }) if type_name == of => {}
             Err(error) => reasons.push(error.to_string()),
         }
-        match transports.described_type(topic, ANSWER_TIMEOUT) {
+        match ask(topic, transports, stop) {
             Ok(Some(support)) => return support,
             Ok(None) if hash.is_empty() => {
                 reasons.push("its publisher announces no type hash".to_owned());
@@ -130,10 +144,27 @@ impl Definitions {
     }
 }
 
+/// The type as the topic's publishers define it; `None` if they do not tell, also when they are asked again.
+fn ask(
+    topic: &SeenTopic,
+    transports: &Transports,
+    stop: &AtomicBool,
+) -> Result<Option<TypeSupport>, TransportError> {
+    let clock = Clock::start();
+    loop {
+        let told = transports.described_type(topic, ANSWER_TIMEOUT)?;
+        let is_over = clock.now() >= ASKING_TIME || stop.load(Ordering::Relaxed);
+        if told.is_some() || topic.hash.is_none() || is_over {
+            return Ok(told);
+        }
+        thread::sleep(ASKING_INTERVAL);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_transport::{Link, Reliability, TransportOptions};
+    use eddy_transport::{Link, TransportOptions};
 
     /// An installation with the type `acme_msgs/msg/Probe`.
     fn installation() -> tempfile::TempDir {
@@ -156,30 +187,18 @@ mod tests {
         let transports = Transports::new(TransportOptions::new("definitions"));
         let prefixes = vec!["/nowhere".into(), folder.path().to_owned()];
         let opener = TopicOpener::new(transports.clone(), prefixes, QosOverrides::new());
-        let support = opener.open(topic(None)).unwrap().support;
+        // Nobody answers: asked once.
+        let type_of = |topic: &SeenTopic| opener.type_of(topic, &AtomicBool::new(true));
+        let support = type_of(&topic(None));
         let separator = "=".repeat(80);
         let expected = format!(
             "# A probe.\nTip tip\nfloat64 x\n\n{separator}\nMSG: acme_msgs/Tip\nfloat32[3] position # m\n"
         );
         assert_eq!(support.schema, expected);
-        assert_eq!(opener.open(topic(Some(&support.hash))).unwrap().support.schema, expected);
+        assert_eq!(type_of(&topic(Some(&support.hash))).schema, expected);
 
         let other = format!("RIHS01_{}", "0".repeat(64));
-        let unknown = opener.open(topic(Some(&other))).unwrap().support;
+        let unknown = type_of(&topic(Some(&other)));
         assert_eq!((unknown.schema, unknown.hash), (String::new(), other));
-    }
-
-    #[test]
-    fn messages_wait_while_the_definition_is_looked_for() {
-        let transports = Transports::new(TransportOptions::new("definitions"));
-        let opener = TopicOpener::new(transports.clone(), Vec::new(), QosOverrides::new());
-        let foreign = TypeSupport::foreign("acme_msgs/msg/Probe", "");
-        let mut publisher =
-            transports.publisher_of(&Link::memory("/probe"), &foreign, Reliability::Block).unwrap();
-        let mut opened = opener.open(topic(None)).unwrap();
-        assert_eq!(opened.support.schema, "");
-        publisher.publish_cdr(&[0, 1, 0, 0, 7]).unwrap();
-        let received = opened.subscriber.receive(Duration::from_secs(60)).unwrap().unwrap();
-        assert_eq!(received.into_cdr(), [0, 1, 0, 0, 7]);
     }
 }

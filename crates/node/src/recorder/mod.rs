@@ -3,7 +3,7 @@
 //! 1. [`writer`]: messages into a bag, flushed at least once a second.
 //! 2. [`intake`]: messages of one topic into a bounded queue.
 //! 3. [`definitions`]: subscribers, and the definitions of their types.
-//! 4. [`discovery`]: topics that appear while recording.
+//! 4. [`discovery`]: topics that are published, now or later.
 //! 5. [`recording`]: the loop from the queue into the bag.
 
 mod definitions;

@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread,
     time::Duration,
@@ -11,16 +11,17 @@ use std::{
 
 use super::{
     Losses, OpenTopic, Recorder, TopicDiscovery,
-    intake::{Event, FULL_QUEUE_TIMEOUT, MAX_WAIT, receive},
+    intake::{Event, FULL_QUEUE_TIMEOUT, MAX_WAIT, Shared, receive},
 };
-use eddy_bag::BagError;
+use eddy_bag::{BagError, TopicId};
 use eddy_frames::clock::{self, Clock};
-use eddy_transport::{Link, Queue, SeenTopic, TransportError};
+use eddy_transport::{Link, Producer, Queue, SeenTopic, TransportError};
+
+/// Delay before the links are named that are not published yet: time for the transports to find their topics.
+const WAITING_DELAY: Duration = Duration::from_secs(1);
 
 /// When a recording ends, and where it reports to.
 pub struct RecordingOptions<'a> {
-    /// Links whose failure ends the recording; a failure of others is noted.
-    pub required: &'a [Link],
     /// Capacity of the queue of messages to write (bytes).
     pub cache_bytes: usize,
     /// Ends after this number of messages.
@@ -31,6 +32,8 @@ pub struct RecordingOptions<'a> {
     pub interrupted: &'a AtomicBool,
     /// Called for each topic when its recording starts.
     pub on_topic: &'a dyn Fn(&SeenTopic),
+    /// Called once with the links that are waited for, if there are any after a second.
+    pub on_waiting: &'a dyn Fn(&[Link]),
     /// Called at least every 0.1 s with the number of messages written and the time since the start.
     pub on_progress: &'a dyn Fn(u64, Duration),
 }
@@ -41,46 +44,49 @@ pub enum RecordError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A required link failed.
+    /// The last link that was recorded failed.
     #[error(transparent)]
     Transport(TransportError),
 }
 
-/// Records topics until a limit, a failure or an interrupt. Returns the outcome and the losses; the caller finishes
-/// `recorder` in each case.
+/// Records topics until a limit, a failure or an interrupt. A topic that fails does not end it, unless nothing is left to
+/// record. Returns the outcome and the losses; the caller finishes `recorder` in each case.
 pub fn record(
     recorder: &mut Recorder,
-    inputs: Vec<OpenTopic>,
     discovery: &TopicDiscovery,
+    options: &RecordingOptions<'_>,
+) -> (Result<(), RecordError>, Losses) {
+    let search = |producer: &Producer<Event>, stop: &AtomicBool| discovery.run(producer, stop);
+    record_found(recorder, discovery, search, options)
+}
+
+/// As [`record`]; `search` opens the topics.
+fn record_found(
+    recorder: &mut Recorder,
+    discovery: &TopicDiscovery,
+    search: impl FnOnce(&Producer<Event>, &AtomicBool) + Send,
     options: &RecordingOptions<'_>,
 ) -> (Result<(), RecordError>, Losses) {
     let stop = AtomicBool::new(false);
     let queue = Arc::new(Queue::with_cost(usize::MAX, options.cache_bytes, Event::cost));
+    let shared = Shared {
+        timeout: FULL_QUEUE_TIMEOUT,
+        cache_bytes: options.cache_bytes,
+        held: AtomicUsize::new(0),
+        stop: &stop,
+    };
     thread::scope(|scope| {
-        let (stop, mut receivers) = (&stop, Vec::new());
-        let mut open = |recorder: &mut Recorder, opened: OpenTopic| {
-            let OpenTopic { topic, support, mut subscriber } = opened;
-            let id = recorder.topic_of(&topic.link.topic, &support, &topic.offered)?;
-            (options.on_topic)(&topic);
+        let (stop, shared, mut receivers) = (&stop, &shared, Vec::new());
+        let mut receive_from = |number: usize, OpenTopic { topic, mut subscriber }| {
             let producer = queue.producer();
-            let link = topic.link;
             receivers.push(scope.spawn(move || {
-                receive(&link, id, subscriber.as_mut(), &producer, FULL_QUEUE_TIMEOUT, stop)
+                let type_of = || discovery.opener().type_of(&topic, stop);
+                receive(number, &topic.link, subscriber.as_mut(), type_of, &producer, shared)
             }));
-            Ok(())
         };
-        let mut opened = Ok(());
-        for input in inputs {
-            if opened.is_ok() {
-                opened = open(recorder, input);
-            }
-        }
-        if !discovery.is_empty() {
-            let producer = queue.producer();
-            scope.spawn(move || discovery.run(&producer, stop));
-        }
-        let outcome =
-            opened.and_then(|()| write(recorder, &queue, &mut open, discovery, options, stop));
+        let producer = queue.producer();
+        scope.spawn(move || search(&producer, stop));
+        let outcome = write(recorder, &queue, &mut receive_from, discovery, options, stop);
         stop.store(true, Ordering::Relaxed);
         let queued = queue.close().into_iter();
         let queued = queued.filter(|event| matches!(event, Event::Message(..))).count() as u64;
@@ -98,21 +104,23 @@ pub fn record(
     })
 }
 
-/// Starts to record a topic.
-type Open<'a> = dyn FnMut(&mut Recorder, OpenTopic) -> Result<(), RecordError> + 'a;
+/// Starts to receive the messages of a topic with this number.
+type ReceiveFrom<'a> = dyn FnMut(usize, OpenTopic) + 'a;
 
 /// Writes events until the recording ends, raises `stop`, then writes the messages that had already arrived.
 fn write(
     recorder: &mut Recorder,
     queue: &Queue<Event>,
-    open: &mut Open<'_>,
+    receive_from: &mut ReceiveFrom<'_>,
     discovery: &TopicDiscovery,
     options: &RecordingOptions<'_>,
     stop: &AtomicBool,
 ) -> Result<(), RecordError> {
     let clock = Clock::start();
     let limit = options.max_messages.unwrap_or(u64::MAX);
-    let mut failure = None;
+    // Topics by number; without an id until their type is known.
+    let mut topics: Vec<(SeenTopic, Option<TopicId>)> = Vec::new();
+    let (mut failure, mut has_told_waiting) = (None, false);
     loop {
         let timed_out = options.stop_after.is_some_and(|limit| clock.now() >= limit);
         let interrupted = options.interrupted.load(Ordering::Relaxed);
@@ -120,29 +128,40 @@ fn write(
             stop.store(true, Ordering::Relaxed);
         }
         match queue.pop(MAX_WAIT) {
-            Some(Event::Message(topic, payload, arrived)) => {
-                recorder.on_message(topic, payload, arrived).map_err(RecordError::Bag)?;
-            }
-            Some(Event::Opened(opened)) => {
-                let link = opened.topic.link.clone();
-                match open(recorder, *opened) {
-                    Err(RecordError::Bag(error @ BagError::TopicType { .. })) => {
-                        discovery.note_failed(&link, &error);
-                    }
-                    opened => opened?,
+            Some(Event::Message(number, payload, arrived)) => {
+                // Without an id, the topic was noted as failed.
+                if let Some(id) = topics[number].1 {
+                    recorder.on_message(id, payload, arrived)?;
                 }
             }
-            // Topics of `--all` and `--regex` are recorded as far as possible.
-            Some(Event::Failed(link, error)) if !options.required.contains(&link) => {
-                discovery.note_ended(&link, &error);
+            Some(Event::Opened(opened)) => {
+                (options.on_topic)(&opened.topic);
+                topics.push((opened.topic.clone(), None));
+                receive_from(topics.len() - 1, *opened);
             }
-            Some(Event::Failed(_, error)) => failure = Some(RecordError::Transport(error)),
+            Some(Event::Typed(number, support)) => {
+                let (SeenTopic { link, offered, .. }, id) = &mut topics[number];
+                match recorder.topic_of(&link.topic, &support, offered) {
+                    Ok(known) => *id = Some(known),
+                    Err(error @ BagError::TopicType { .. }) => discovery.note_failed(link, &error),
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            Some(Event::Failed(link, error)) => {
+                if discovery.note_ended(&link, &error) {
+                    failure = Some(RecordError::Transport(error));
+                }
+            }
             None if queue.is_ended() => break,
             None => {}
         }
-        recorder.on_tick(clock::wall()).map_err(RecordError::Bag)?;
+        recorder.on_tick(clock::wall())?;
         let messages = recorder.bag().messages();
         (options.on_progress)(messages, clock.now());
+        if !has_told_waiting && clock.now() >= WAITING_DELAY {
+            has_told_waiting = true;
+            (options.on_waiting)(&discovery.unpublished());
+        }
         if messages >= limit {
             break;
         }
@@ -152,114 +171,207 @@ fn write(
 
 #[cfg(test)]
 mod tests {
-    use std::{collections::HashSet, path::Path};
+    use std::path::Path;
 
     use super::*;
     use crate::recorder::TopicOpener;
     use eddy_bag::{BagReader, BagWriter, QosOverrides, TopicFilter, WriterOptions};
-    use eddy_messages::{Message, RosString, cdr, topic_type};
+    use eddy_messages::{Message, RosString, TypeSupport, cdr};
     use eddy_transport::{
-        Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions, Transports,
+        Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
     };
 
     const LONG: Duration = Duration::from_secs(60);
+    const INT32: &str = "std_msgs/msg/Int32";
 
-    /// A topic within this process and its publisher.
-    struct Words {
-        transports: Transports,
-        topic: SeenTopic,
-        publisher: Box<dyn Publisher>,
+    fn word() -> Vec<u8> {
+        cdr::encode(&RosString { data: "eddy".into() })
     }
 
-    impl Words {
+    /// Topics within this process.
+    struct World {
+        transports: Transports,
+        interrupted: AtomicBool,
+        folder: tempfile::TempDir,
+    }
+
+    /// What a recording has left.
+    struct Recorded {
+        outcome: Result<(), RecordError>,
+        losses: Losses,
+        /// Names and types of the topics, and their messages.
+        topics: Vec<(String, String, u64)>,
+        not_recorded: Vec<String>,
+        ended: Vec<String>,
+    }
+
+    impl World {
         fn new() -> Self {
             let transports = Transports::new(TransportOptions::new("record"));
-            let link = Link { transport: TransportKind::Memory, topic: "/words".to_owned() };
-            let publisher = transports.publisher(&link, RosString::TYPE, Reliability::Block);
-            let publisher = publisher.unwrap();
-            let type_name = RosString::TYPE.to_owned();
-            let topic = SeenTopic::new(link, type_name);
-            Self { transports, topic, publisher }
+            let folder = tempfile::tempdir().unwrap();
+            Self { transports, interrupted: AtomicBool::new(false), folder }
         }
 
-        fn opener(&self) -> TopicOpener {
-            TopicOpener::new(self.transports.clone(), Vec::new(), QosOverrides::new())
+        fn publisher(&self, topic: &str, type_name: &str) -> Box<dyn Publisher> {
+            let link = Link::memory(topic);
+            self.transports.publisher(&link, type_name, Reliability::Block).unwrap()
         }
 
-        fn input(&self) -> OpenTopic {
-            self.opener().open(self.topic.clone()).unwrap()
+        fn discovery(&self, links: &[&str], choice: TopicFilter) -> TopicDiscovery {
+            let opener = TopicOpener::new(self.transports.clone(), Vec::new(), QosOverrides::new());
+            let links: Vec<_> = links.iter().map(|topic| Link::memory(topic)).collect();
+            let from = vec![Link::memory("/").transport];
+            TopicDiscovery::new(opener, links, from, choice)
         }
 
-        fn publish(&mut self, count: usize) {
-            for _ in 0..count {
-                let word = cdr::encode(&RosString { data: "eddy".into() });
-                self.publisher.publish_cdr(&word).unwrap();
+        fn options(&self) -> RecordingOptions<'_> {
+            RecordingOptions {
+                cache_bytes: 1 << 20,
+                max_messages: None,
+                stop_after: Some(LONG),
+                interrupted: &self.interrupted,
+                on_topic: &|_| (),
+                on_waiting: &|_| (),
+                on_progress: &|_, _| (),
             }
         }
 
-        /// Records into a bag; returns the number of its messages.
+        /// Records while `meanwhile` runs; interrupted at its end.
         fn record(
             &self,
-            bag: &Path,
-            inputs: Vec<OpenTopic>,
+            discovery: &TopicDiscovery,
             options: &RecordingOptions<'_>,
-        ) -> (u64, Result<(), RecordError>, Losses) {
-            let none = (Vec::new(), TopicFilter::default(), HashSet::new());
-            let discovery = TopicDiscovery::new(self.opener(), none.0, none.1, none.2);
-            let writer = BagWriter::create(bag, WriterOptions::default()).unwrap();
+            meanwhile: impl FnOnce() + Send,
+        ) -> Recorded {
+            let search = |producer: &Producer<Event>, stop: &AtomicBool| {
+                discovery.run(producer, stop);
+            };
+            self.record_found(discovery, search, options, meanwhile)
+        }
+
+        fn record_found(
+            &self,
+            discovery: &TopicDiscovery,
+            search: impl FnOnce(&Producer<Event>, &AtomicBool) + Send,
+            options: &RecordingOptions<'_>,
+            meanwhile: impl FnOnce() + Send,
+        ) -> Recorded {
+            let path = self.folder.path().join("bag");
+            let writer = BagWriter::create(&path, WriterOptions::default()).unwrap();
             let mut recorder = Recorder::new(writer, clock::wall());
-            let (outcome, losses) = record(&mut recorder, inputs, &discovery, options);
-            (recorder.finish().unwrap().messages, outcome, losses)
+            let (outcome, losses) = thread::scope(|scope| {
+                scope.spawn(|| {
+                    meanwhile();
+                    self.interrupted.store(true, Ordering::Relaxed);
+                });
+                record_found(&mut recorder, discovery, search, options)
+            });
+            recorder.finish().unwrap();
+            let reasons = |reasons: crate::recorder::Reasons| {
+                reasons.into_iter().map(|(link, reason)| format!("{link}: {reason}")).collect()
+            };
+            let (not_recorded, ended) = (discovery.not_recorded(), discovery.ended());
+            let (not_recorded, ended) = (reasons(not_recorded), reasons(ended));
+            Recorded { outcome, losses, topics: topics(&path), not_recorded, ended }
         }
     }
 
-    fn options<'a>(interrupted: &'a AtomicBool, required: &'a [Link]) -> RecordingOptions<'a> {
-        RecordingOptions {
-            required,
-            cache_bytes: 1 << 20,
-            max_messages: None,
-            stop_after: Some(LONG),
-            interrupted,
-            on_topic: &|_| (),
-            on_progress: &|_, _| (),
+    fn topics(bag: &Path) -> Vec<(String, String, u64)> {
+        let bag = BagReader::open(bag).unwrap();
+        let topics = bag.topics().iter();
+        topics.map(|t| (t.name.clone(), t.type_name.clone(), t.message_count)).collect()
+    }
+
+    fn of(topic: &str, type_name: &str, messages: u64) -> (String, String, u64) {
+        (topic.to_owned(), type_name.to_owned(), messages)
+    }
+
+    /// Publishes words once somebody listens.
+    fn publish(publisher: &mut dyn Publisher, count: usize) {
+        let clock = Clock::start();
+        while publisher.subscribers() == 0 {
+            assert!(clock.now() < LONG, "nobody listens");
+            thread::sleep(Duration::from_millis(1));
         }
+        for _ in 0..count {
+            publisher.publish_cdr(&word()).unwrap();
+        }
+    }
+
+    fn everything() -> TopicFilter {
+        TopicFilter { all: true, ..TopicFilter::default() }
+    }
+
+    #[test]
+    fn a_recorder_that_is_first_waits_for_the_publisher_and_has_its_type() {
+        let world = World::new();
+        // Its name promises nothing.
+        let discovery = world.discovery(&["/robot_description"], TopicFilter::default());
+        let recorded = world.record(&discovery, &world.options(), || {
+            let clock = Clock::start();
+            while clock.now() < Duration::from_millis(300) {
+                assert_eq!(discovery.unpublished(), [Link::memory("/robot_description")]);
+                thread::sleep(Duration::from_millis(10));
+            }
+            publish(&mut *world.publisher("/robot_description", RosString::TYPE), 5);
+        });
+        recorded.outcome.unwrap();
+        assert_eq!(recorded.topics, [of("/robot_description", RosString::TYPE, 5)]);
+        assert_eq!((recorded.losses.total(), recorded.not_recorded.len()), (0, 0));
+    }
+
+    #[test]
+    fn links_that_nobody_publishes_are_told_once_and_not_in_the_bag() {
+        let world = World::new();
+        let _other = world.publisher("/words", RosString::TYPE);
+        let discovery = world.discovery(&["/words", "/nothing"], TopicFilter::default());
+        let told = std::sync::Mutex::new(Vec::new());
+        let options = RecordingOptions {
+            on_waiting: &|links| told.lock().unwrap().push(links.to_vec()),
+            ..world.options()
+        };
+        let recorded = world.record(&discovery, &options, || {
+            let clock = Clock::start();
+            while told.lock().unwrap().is_empty() {
+                assert!(clock.now() < LONG, "nothing is told");
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
+        recorded.outcome.unwrap();
+        assert_eq!(*told.lock().unwrap(), [[Link::memory("/nothing")]]);
+        assert_eq!(recorded.topics, [of("/words", RosString::TYPE, 0)]);
+        assert_eq!(recorded.not_recorded, ["memory:/nothing: not published"]);
     }
 
     #[test]
     fn an_interrupt_ends_a_recording_after_everything_that_has_arrived() {
-        let folder = tempfile::tempdir().unwrap();
-        let (mut words, interrupted) = (Words::new(), AtomicBool::new(false));
-        let input = words.input();
-        words.publish(5);
-        interrupted.store(true, Ordering::Relaxed);
-        let bag = folder.path().join("bag");
-        let (messages, outcome, losses) =
-            words.record(&bag, vec![input], &options(&interrupted, &[]));
-        outcome.unwrap();
-        assert_eq!((messages, losses.total()), (5, 0));
-        assert_eq!(BagReader::open(&bag).unwrap().message_count(), 5);
+        let world = World::new();
+        let discovery = world.discovery(&[], everything());
+        let mut publisher = world.publisher("/words", RosString::TYPE);
+        let recorded =
+            world.record(&discovery, &world.options(), || publish(publisher.as_mut(), 50));
+        recorded.outcome.unwrap();
+        assert_eq!(recorded.topics, [of("/words", RosString::TYPE, 50)]);
+        assert_eq!(recorded.losses.total(), 0);
     }
 
     #[test]
     fn limits_end_a_recording() {
-        let folder = tempfile::tempdir().unwrap();
-        let (mut words, interrupted) = (Words::new(), AtomicBool::new(false));
-        let input = words.input();
-        words.publish(5);
-        let usual = options(&interrupted, &[]);
-        let few = RecordingOptions { max_messages: Some(3), ..usual };
-        let (messages, outcome, losses) =
-            words.record(&folder.path().join("few"), vec![input], &few);
-        outcome.unwrap();
+        let world = World::new();
+        let discovery = world.discovery(&["/words"], TopicFilter::default());
+        let mut publisher = world.publisher("/words", RosString::TYPE);
+        let few = RecordingOptions { max_messages: Some(3), ..world.options() };
+        let recorded = world.record(&discovery, &few, || publish(publisher.as_mut(), 5));
+        recorded.outcome.unwrap();
         // Messages after the last one to record are not lost.
-        assert_eq!((messages, losses.unwritten), (3, 0));
-        let short =
-            RecordingOptions { stop_after: Some(Duration::ZERO), ..options(&interrupted, &[]) };
-        let input = words.input();
-        let (messages, outcome, _) =
-            words.record(&folder.path().join("short"), vec![input], &short);
-        outcome.unwrap();
-        assert_eq!(messages, 0);
+        assert_eq!((recorded.topics[0].2, recorded.losses.unwritten), (3, 0));
+
+        let world = World::new();
+        let discovery = world.discovery(&["/words"], TopicFilter::default());
+        let short = RecordingOptions { stop_after: Some(Duration::ZERO), ..world.options() };
+        let recorded = world.record(&discovery, &short, || ());
+        recorded.outcome.unwrap();
+        assert_eq!(recorded.topics, []);
     }
 
     /// Fails at the first call.
@@ -267,7 +379,7 @@ mod tests {
 
     impl Subscriber for Broken {
         fn receive(&mut self, _: Duration) -> Result<Option<Payload>, TransportError> {
-            let (found, expected) = ("a".to_owned(), topic_type(&self.0.topic).to_owned());
+            let (found, expected) = (INT32.to_owned(), RosString::TYPE.to_owned());
             Err(TransportError::TopicType { link: self.0.clone(), found, expected })
         }
 
@@ -277,26 +389,55 @@ mod tests {
     }
 
     #[test]
-    fn a_required_link_that_fails_ends_the_recording_and_another_one_does_not() {
-        let folder = tempfile::tempdir().unwrap();
-        let (mut words, interrupted) = (Words::new(), AtomicBool::new(false));
-        let broken = Link { transport: TransportKind::Memory, topic: "/broken".to_owned() };
-        let required = [broken.clone()];
-        let inputs = |words: &Words| {
-            let topic = SeenTopic { link: broken.clone(), ..words.topic.clone() };
-            let (support, subscriber) = (topic.type_support(), Box::new(Broken(broken.clone())));
-            vec![OpenTopic { topic, support, subscriber }, words.input()]
-        };
-        let all = inputs(&words);
-        let (_, outcome, _) =
-            words.record(&folder.path().join("required"), all, &options(&interrupted, &required));
-        assert!(matches!(outcome, Err(RecordError::Transport(_))), "{outcome:?}");
+    fn a_link_that_fails_ends_the_recording_only_if_nothing_is_left() {
+        for (links, is_over) in [(vec!["/broken"], true), (vec!["/broken", "/words"], false)] {
+            let world = World::new();
+            let mut publisher = world.publisher("/words", RosString::TYPE);
+            let discovery = world.discovery(&links, TopicFilter::default());
+            let search = |producer: &Producer<Event>, stop: &AtomicBool| {
+                let link = Link::memory("/broken");
+                let subscriber = Box::new(Broken(link.clone()));
+                let topic = SeenTopic::new(link, RosString::TYPE.to_owned());
+                let opened = Event::Opened(Box::new(OpenTopic { topic, subscriber }));
+                assert!(producer.push_or_wait(opened, LONG).is_ok());
+                discovery.run(producer, stop);
+            };
+            let recorded = world.record_found(&discovery, search, &world.options(), || {
+                if !is_over {
+                    publish(publisher.as_mut(), 2);
+                }
+            });
+            assert_eq!(recorded.ended.len(), 1, "{:?}", recorded.ended);
+            assert_eq!(recorded.outcome.is_err(), is_over, "{:?}", recorded.outcome);
+            let words = recorded.topics.iter().filter(|(name, ..)| name == "/words");
+            assert_eq!(
+                words.map(|(_, _, messages)| messages).sum::<u64>(),
+                if is_over { 0 } else { 2 }
+            );
+        }
+    }
 
-        let all = inputs(&words);
-        words.publish(2);
-        let two = RecordingOptions { max_messages: Some(2), ..options(&interrupted, &[]) };
-        let (messages, outcome, _) = words.record(&folder.path().join("other"), all, &two);
-        outcome.unwrap();
-        assert_eq!(messages, 2);
+    #[test]
+    fn another_type_of_a_recorded_topic_is_named() {
+        let world = World::new();
+        let discovery = world.discovery(&[], everything());
+        let link = Link::memory("/words");
+        let seen = |type_name: &str, hash: Option<&str>| SeenTopic {
+            hash: hash.map(str::to_owned),
+            ..SeenTopic::new(link.clone(), type_name.to_owned())
+        };
+        let known = TypeSupport::foreign(RosString::TYPE, "RIHS01_1");
+        assert!(discovery.reserve(&seen(&known.name, Some(&known.hash))));
+        // The same, as far as it is announced.
+        assert!(!discovery.reserve(&seen(&known.name, Some(&known.hash))));
+        assert!(!discovery.reserve(&seen(&known.name, None)));
+        assert_eq!(discovery.not_recorded().len(), 0);
+        assert!(!discovery.reserve(&seen(&known.name, Some("RIHS01_2"))));
+        assert!(!discovery.reserve(&seen(INT32, None)));
+        let reasons = discovery.not_recorded();
+        let expected =
+            "found message type std_msgs/msg/Int32, recorded is std_msgs/msg/String (RIHS01_1)";
+        assert_eq!(reasons["memory:/words(std_msgs/msg/Int32)"], expected);
+        assert_eq!(reasons.len(), 2, "{reasons:?}");
     }
 }

@@ -291,7 +291,7 @@ impl Warnings {
         if received == 0 && waiting > SILENCE_TIMEOUT && !self.silence {
             self.silence = true;
             tracing::warn!(
-                "no frames received for {} s on {input}; check topic and transport with `eddy topic list`",
+                "no frames received for {} s on {input}; check topic and transport with `eddy topic list --from zenoh,shm,dds --wait 5`",
                 SILENCE_TIMEOUT.as_secs()
             );
         }

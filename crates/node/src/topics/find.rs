@@ -21,10 +21,10 @@ pub enum FindError {
     Transport(#[from] TransportError),
     /// Nobody publishes the topic.
     #[error(
-        "{link}: no publisher appeared within {} s; available topics on {transport}: {available}",
+        "{link}: no publisher appeared within {} s; available topics {available}",
         timeout.as_secs_f64()
     )]
-    Timeout { link: Link, timeout: Duration, transport: TransportKind, available: String },
+    Timeout { link: Link, timeout: Duration, available: String },
 }
 
 /// Waits up to `timeout` for a publisher of `link`, from the first list of topics on. `None` when `is_stopped` first.
@@ -52,47 +52,35 @@ pub fn find_topic(
         if !warned && clock.now() > WARNING_DELAY {
             warned = true;
             tracing::warn!(
-                "{link}: not published yet, waiting up to {} s; available topics on {}: {}",
+                "{link}: not published yet, waiting up to {} s; available topics {}",
                 timeout.as_secs_f64(),
-                link.transport,
-                names(&topics)
+                available(transports, link.transport, &topics)
             );
         }
         if clock.now() > timeout {
-            let available = names(&topics);
-            let (link, transport) = (link.clone(), link.transport);
-            return Err(FindError::Timeout { link, timeout, transport, available });
+            let available = available(transports, link.transport, &topics);
+            return Err(FindError::Timeout { link: link.clone(), timeout, available });
         }
         thread::sleep(SEARCH_INTERVAL);
     }
 }
 
-/// Looks up to `timeout` for publishers of all `links`, from the first list of topics on; `None` for those without. Topics in shared memory are listed at
-/// once.
-///
-/// # Errors
-/// [`TransportError`] when a transport cannot list its topics.
-pub fn find_topics(
-    transports: &Transports,
-    links: &[Link],
-    timeout: Duration,
-    is_stopped: impl Fn() -> bool,
-) -> Result<Vec<Option<SeenTopic>>, TransportError> {
-    let (mut clock, mut found) = (None, vec![None; links.len()]);
-    loop {
-        let mut missing = false;
-        for (link, found) in links.iter().zip(&mut found).filter(|(_, found)| found.is_none()) {
-            let topics = transports.topics(link.transport)?;
-            *found = topics.into_iter().find(|topic| topic.link == *link);
-            missing |= found.is_none() && link.transport != TransportKind::Shm;
-        }
-        // The first lists open the transports, which takes a while.
-        let clock = clock.get_or_insert_with(Clock::start);
-        if !missing || is_stopped() || clock.now() > timeout {
-            return Ok(found);
-        }
-        thread::sleep(SEARCH_INTERVAL);
+/// The topics on the transport `first`, and on the others that have some, in a line: the one that is looked for may be on
+/// another transport. Those of a process are on one only.
+fn available(transports: &Transports, first: TransportKind, topics: &[SeenTopic]) -> String {
+    let mut line = format!("on {first}: {}", names(topics));
+    if first == TransportKind::Memory {
+        return line;
     }
+    for other in [TransportKind::Zenoh, TransportKind::Shm, TransportKind::Dds] {
+        // One that does not work has no topics to offer.
+        let topics =
+            if other == first { Vec::new() } else { transports.topics(other).unwrap_or_default() };
+        if !topics.is_empty() {
+            line.push_str(&format!("; on {other}: {}", names(&topics)));
+        }
+    }
+    line
 }
 
 /// The names of topics in a line.
@@ -107,7 +95,6 @@ mod tests {
     use eddy_transport::TransportOptions;
 
     fn find(is_stopped: bool) -> Result<Option<SeenTopic>, FindError> {
-        // Memory links are not listed, so that no topic is ever found on them.
         let transports = Transports::new(TransportOptions::new("find"));
         find_topic(&transports, &Link::memory("/a"), Duration::ZERO, || is_stopped)
     }
@@ -118,14 +105,6 @@ mod tests {
         let expected =
             "memory:/a: no publisher appeared within 0 s; available topics on memory: none";
         assert_eq!(message, expected);
-    }
-
-    #[test]
-    fn several_topics_are_looked_for_at_once() {
-        let transports = Transports::new(TransportOptions::new("find"));
-        let links = [Link::memory("/a"), Link::memory("/b")];
-        let found = find_topics(&transports, &links, Duration::ZERO, || false).unwrap();
-        assert_eq!(found, [None, None]);
     }
 
     #[test]

@@ -8,6 +8,6 @@ mod find;
 mod rate;
 mod yaml;
 
-pub use find::{FindError, MAX_FIND_TIME, find_topic, find_topics};
+pub use find::{FindError, MAX_FIND_TIME, find_topic};
 pub use rate::{Rate, RateStatistics};
 pub use yaml::message_text;
