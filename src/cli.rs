@@ -120,7 +120,21 @@ pub enum Command {
 
 /// The command line, with examples at the end of each command's long help.
 pub fn command() -> clap::Command {
-    with_negative_numbers(examples::added(Cli::command()))
+    without_empty_variables(with_negative_numbers(examples::added(Cli::command())))
+}
+
+/// As in ROS 2, an empty environment variable is the same as an unset one.
+#[expect(clippy::disallowed_methods, reason = "clap reads the variables that its arguments name")]
+fn without_empty_variables(command: clap::Command) -> clap::Command {
+    let is_empty = |arg: &clap::Arg| {
+        let value = arg.get_env().and_then(std::env::var_os);
+        value.is_some_and(|value| value.is_empty())
+    };
+    let command = command.mut_args(|arg| match is_empty(&arg) {
+        true => arg.env(None::<&'static str>),
+        false => arg,
+    });
+    command.mut_subcommands(without_empty_variables)
 }
 
 /// Takes `-1` for a value, which is then rejected with the range of the option, and not for an unknown option.

@@ -2,9 +2,9 @@
 
 use eddy_inference::engine::Precision;
 
-/// A duration from 0 (s).
+/// A duration from 0 (s), up to the longest between two times of ROS: a bag may begin at time 0 and go on today.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
-    number(text, |seconds| (0.0..=1e9).contains(&seconds), "0 to 1e9 s")
+    number(text, |seconds| (0.0..=9e9).contains(&seconds), "0 to 9e9 s")
 }
 
 /// A duration of more than 0 (s).

@@ -438,6 +438,9 @@ fn a_long_pause_is_said_when_it_begins_with_what_to_do() {
         fs::read_to_string(log.path()).unwrap().contains(expected).then_some(())
     });
     player.kill();
+    let mut player = Process::start(&mut world.replay("shm", &["--start-offset", "1700000000"]));
+    assert_eq!(next(&mut *words), word("1700000000000"));
+    assert!(player.wait().success());
 }
 
 #[test]
