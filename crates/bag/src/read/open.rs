@@ -81,7 +81,9 @@ impl FileIndex {
         // Damage between the chunks hides some of them from a scan. What loses messages is not preferred.
         let is_damaged = index.errors().next().is_some();
         let finds_more = |by_summary: &Self| {
-            is_damaged && (is_confirmed || by_summary.messages() > index.messages())
+            is_damaged
+                && source != Source::Scan
+                && (is_confirmed || by_summary.messages() > index.messages())
         };
         Ok(by_summary.filter(finds_more).unwrap_or(index))
     }
@@ -103,8 +105,10 @@ impl FileIndex {
 pub(crate) enum Source {
     /// From the summary section, if the message indexes confirm it, else from a scan.
     Summary,
-    /// From a scan of all records, unless that meets damage and the summary section finds more.
+    /// From a scan of all records.
     Scan,
+    /// From a scan of all records, unless that meets damage and the summary section finds more.
+    ScanOrSummary,
 }
 
 /// How a file of Git LFS begins that holds the address of a file in its place

@@ -41,7 +41,7 @@ impl Recovery {
         let (mut losses, mut files) = (ErrorLog::default(), Vec::<FileIndex>::new());
         for file in layout::mcap_files(path)? {
             // The messages count, not what a summary section says of them.
-            match FileIndex::open_by(&file, files.len(), Source::Scan, progress) {
+            match FileIndex::open_by(&file, files.len(), Source::ScanOrSummary, progress) {
                 Ok(index) => files.push(index),
                 Err(error @ BagError::Magic { .. }) => losses.push(error),
                 Err(error) => return Err(error),
