@@ -181,23 +181,15 @@ pub fn evaluate_scene(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Baseline, Settings, dataset::Bounds, test_streams::first_frames};
-    use eddy_inference::{checkpoint::Checkpoint, kernels::spacing::spacing};
+    use crate::{
+        Baseline, Settings,
+        test_streams::{context, first_frames},
+    };
     use eddy_mpm::Preset;
 
     /// The first frames of a scene of liquid, as they are simulated.
     fn liquid(frames: usize) -> Stream {
         first_frames(&Scene::generate(Preset::Kinds, 5, 0), frames)
-    }
-
-    fn context(stream: &Stream, settings: Settings) -> Context {
-        let description = Checkpoint::shipped().unwrap().description;
-        let mut walls = Bounds::default();
-        for x in stream.states.iter().flat_map(|state| &state.position) {
-            walls.join(&Bounds { lower: *x, upper: *x });
-        }
-        let spacing = spacing(&stream.states[0].position);
-        Context::new(settings, &description, 1, stream.domain, walls, spacing)
     }
 
     #[test]

@@ -119,3 +119,62 @@ fn speed(velocity: &[[f32; 2]]) -> f64 {
     let sum: f64 = velocity.iter().map(|v| square(v.map(f64::from)).sqrt()).sum();
     sum / velocity.len() as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Baseline, Settings, evaluate_scene,
+        test_streams::{context, first_frames},
+    };
+    use eddy_mpm::{Preset, Scene};
+
+    /// `frames` frames of a liquid that stands still, though every particle claims to rise.
+    fn standing(frames: usize) -> Stream {
+        let mut stream = first_frames(&Scene::generate(Preset::Kinds, 5, 0), 1);
+        stream.states[0].velocity.fill([0.0, 0.1]);
+        stream.states = vec![stream.states[0].clone(); frames];
+        stream
+    }
+
+    /// Of the truth, of persistence, of constant velocity, and of the mean.
+    fn measure(frames: usize, settings: Settings) -> Vec<Option<Settled>> {
+        let stream = standing(frames);
+        let predictors = [
+            Predictor::Truth,
+            Predictor::Baseline(Baseline::Persistence),
+            Predictor::Baseline(Baseline::ConstantVelocity),
+            Predictor::Mean,
+        ];
+        let context = context(&stream, settings);
+        evaluate_scene(&context, &predictors, &stream, None).unwrap().settled
+    }
+
+    #[test]
+    fn a_long_rollout_has_the_speed_the_displacement_and_the_area_of_its_predictor() {
+        let found = measure(SETTLED_START + 1 + 200, Settings::full(5, 1));
+        let [Some(truth), Some(still), Some(rising), None] = &found[..] else {
+            panic!("{found:?}")
+        };
+        assert_eq!(truth, still);
+        assert_eq!((truth.step_rmse, truth.states.len()), (0.0, 1));
+        let state = truth.states[0];
+        assert_eq!((state.frame, state.moved), (200, 0.0));
+        assert!((state.speed - 0.1).abs() < 1e-6 && (state.kinetic_energy - 0.005).abs() < 1e-6);
+
+        let frame = 0.1 * 0.016;
+        assert!((rising.step_rmse - frame).abs() < 1e-6, "{rising:?}");
+        assert!((rising.states[0].moved - 200.0 * frame).abs() < 1e-3, "{rising:?}");
+        // It has risen past the ceiling in part, or is still inside.
+        assert!(rising.states[0].area <= 1.05 * state.area && state.area > 0.0, "{rising:?}");
+    }
+
+    #[test]
+    fn streams_that_are_too_short_and_cheap_evaluations_have_none() {
+        assert!(measure(SETTLED_START + 200, Settings::full(5, 1)).is_empty());
+        assert!(measure(SETTLED_START + 1 + 200, Settings::errors_only(5, 1)).is_empty());
+        let longest = measure(SETTLED_START + 1 + 500, Settings::full(5, 1));
+        let frames = longest[0].as_ref().unwrap().states.iter().map(|state| state.frame);
+        assert_eq!(frames.collect::<Vec<_>>(), SETTLED_FRAMES);
+    }
+}

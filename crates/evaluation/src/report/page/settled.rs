@@ -15,7 +15,7 @@ const EQUAL: f64 = 0.002;
 
 impl Report {
     pub(super) fn settled(&self, section: &mut Section) {
-        section.paragraph(format!(
+        section.paragraph(&format!(
             "One rollout per stream from frame {SETTLED_START}, when most scenes have slowed down: whether slow matter goes on \
              moving, and matter at rest stays. Speed and energy are means over {SETTLED_AVERAGED} frames; those of the truth are in \
              its own row.",
@@ -89,15 +89,13 @@ impl Report {
         );
         for number in self.settled_predictors() {
             let name = self.predictors[number].name.as_str();
-            let at =
-                |scene: &SceneEntry| settled_of(scene, number).and_then(|s| state_at(s, frame));
             let own = |of: fn(&SettledState) -> f64| {
-                move |scene: &SceneEntry| at(scene).map_or(f64::NAN, |state| of(state))
+                move |scene: &SceneEntry| state_of(scene, number, frame).map_or(f64::NAN, of)
             };
             let pairs = || {
-                self.scenes
-                    .iter()
-                    .filter_map(|scene| Some((at(scene)?, self.truth_at(scene, frame)?)))
+                self.scenes.iter().filter_map(|scene| {
+                    Some((state_of(scene, number, frame)?, self.truth_at(scene, frame)?))
+                })
             };
             let moving = pairs().filter(|(_, truth)| truth.speed > MOVING);
             let deviation =
@@ -107,7 +105,9 @@ impl Report {
             energies.row(name, self.by_kinds(own(|state| state.kinetic_energy)).map(error));
             let relative = |scene: &SceneEntry| {
                 let truth = self.truth_at(scene, frame);
-                at(scene).zip(truth).map_or(f64::NAN, |(state, truth)| state.area / truth.area)
+                state_of(scene, number, frame)
+                    .zip(truth)
+                    .map_or(f64::NAN, |(state, truth)| state.area / truth.area)
             };
             areas.row(name, self.by_kinds(relative).map(ratio));
             let resting = pairs().filter(|(_, truth)| truth.moved < RESTING * spacing);
@@ -126,7 +126,7 @@ impl Report {
 
     fn truth_at<'a>(&self, scene: &'a SceneEntry, frame: usize) -> Option<&'a SettledState> {
         let truth = self.predictors.iter().position(|entry| entry.role == Role::Truth)?;
-        state_at(settled_of(scene, truth)?, frame)
+        state_of(scene, truth, frame)
     }
 
     /// A table with a column for each kind of scene, followed by others.
@@ -149,8 +149,8 @@ fn settled_of(scene: &SceneEntry, number: usize) -> Option<&Settled> {
     scene.settled.get(number)?.as_ref()
 }
 
-fn state_at(settled: &Settled, frame: usize) -> Option<&SettledState> {
-    settled.states.iter().find(|state| state.frame == frame)
+fn state_of(scene: &SceneEntry, number: usize, frame: usize) -> Option<&SettledState> {
+    settled_of(scene, number)?.states.iter().find(|state| state.frame == frame)
 }
 
 /// The mean of the numbers that are not NaN; NaN if there are none.
