@@ -38,8 +38,9 @@ sed -e 's|/usr/local/bin/eddy|/usr/bin/eddy|' -e 's|file:/usr/local/share/doc|fi
 echo 'u eddy - "eddy node" /var/lib/eddy' >"$tree/usr/lib/sysusers.d/eddy.conf"
 install -D -m 644 "$root/launch_configs/node_lookahead.toml" "$tree/etc/eddy/node.toml"
 
-install -d "$tree/usr/share/eddy" "$tree/usr/share/doc/eddy"
-cp -r "$root/launch_configs" "$root/msgs" "$tree/usr/share/eddy/"
+install -d "$tree/usr/share/eddy/bags" "$tree/usr/share/doc/eddy"
+cp -r "$root/launch_configs" "$root/msgs" "$root/docs/src/deploy/eddy_ros" "$tree/usr/share/eddy/"
+cp -r "$root/bags/sample" "$tree/usr/share/eddy/bags/"
 cp "$root/docs/src/deploy/README.md" "$root/LICENSE-APACHE" "$root/LICENSE-MIT" "$tree/usr/share/doc/eddy/"
 gzip -9n <"$root/CHANGELOG.md" >"$tree/usr/share/doc/eddy/changelog.gz"
 cat >"$tree/usr/share/doc/eddy/copyright" <<'TEXT'
