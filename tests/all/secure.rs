@@ -195,3 +195,50 @@ fn frames_pass_among_those_who_show_certificate_and_password_and_nobody_else_get
     playing.interrupt();
     playing.wait();
 }
+
+#[test]
+fn who_connects_asks_for_a_certificate_and_not_for_a_password() {
+    let place = Place::new();
+    let [nobody, player, guessing, strange, plain] = [(); 5].map(|()| free_port());
+    let listeners: [(&str, u16, &[(&str, &str)]); 3] = [
+        ("guessing", guessing, &[("change me", "guess")]),
+        (
+            "strange",
+            strange,
+            &[("/certificate.pem", "/strange_certificate.pem"), ("/key.pem", "/strange_key.pem")],
+        ),
+        (
+            "plain",
+            plain,
+            &[("\"tls/", "\"tcp/"), ("protocols: [\"tls\"]", "protocols: [\"tcp\", \"tls\"]")],
+        ),
+    ];
+    let mut recorders: Vec<_> = listeners
+        .into_iter()
+        .map(|(name, port, changes)| {
+            let configuration = place.configuration(port, nobody, changes);
+            (name, place.recorder(name, &place.topic, &configuration))
+        })
+        .collect();
+    // It connects to all of them.
+    let all = format!(
+        r#""tls/127.0.0.1:{strange}", "tls/127.0.0.1:{plain}", "tls/127.0.0.1:{guessing}""#
+    );
+    let one = format!(r#""tls/127.0.0.1:{guessing}""#);
+    let configuration = place.configuration(player, guessing, &[(&one, &all)]);
+    let mut playing = Process::start_until(&mut place.player(&configuration), "publishing");
+
+    // The password of who listens is not asked for.
+    let (_, mut guessed) = recorders.remove(0);
+    assert!(guessed.wait().success());
+    assert_eq!(place.recorded("guessing"), FRAMES as u64);
+    assert!(playing.is_running());
+    for (name, mut recorder) in recorders {
+        assert!(recorder.is_running(), "{name} has its frames");
+        recorder.interrupt();
+        assert!(recorder.wait().success(), "{name}");
+        assert_eq!(place.recorded(name), 0, "{name}");
+    }
+    playing.interrupt();
+    playing.wait();
+}
