@@ -251,7 +251,7 @@ pub struct DemoArgs {
     /// Port of the live page on the loopback interface; 0 takes any free port.
     #[arg(long, default_value_t = 8080, conflicts_with = "headless")]
     pub port: u16,
-    /// Stop after one scene of this duration (s, in real time) [default: scenes of 8 s until SIGINT or SIGTERM, of which
+    /// Stop after one scene of this duration (s, in real time) [default: scenes of up to 5 s until SIGINT or SIGTERM, of which
     /// the first is recorded; with --headless only the first].
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub seconds: Option<f64>,

@@ -13,8 +13,8 @@ use std::{
 use eddy_frames::{FrameView, clock::Clock};
 use eddy_messages::services::{Parameter, ParameterKind, ParameterValue};
 use eddy_node::{
-    Counters, DriveError, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse, NodeSettings,
-    Observer, PARAMETERS, Prediction, RequestError, SurrogateNode,
+    Counters, DriveError, LiveNode, NodeHandle, NodeLinks, NodeReport, NodeRequest, NodeResponse,
+    NodeSettings, Observer, PARAMETERS, Prediction, RequestError, SurrogateNode,
     diagnostics::Rates,
     ros::{RosNode, TopicQos},
 };
@@ -108,8 +108,9 @@ impl Observer for Reports {
 
     fn predicted(&mut self, _: &Prediction<'_>) {}
 
-    fn reported(&mut self, rates: &Rates, counters: &Counters, streams: usize) {
-        *lock(&self.0) = Seen { counters: counters.clone(), rates: Some(*rates), streams };
+    fn reported(&mut self, report: &NodeReport<'_>) {
+        let &NodeReport { rates, counters, streams, .. } = report;
+        *lock(&self.0) = Seen { counters: counters.clone(), rates: Some(rates), streams };
     }
 }
 

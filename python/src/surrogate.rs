@@ -9,7 +9,7 @@ use std::{
 use eddy_frames::{FrameView, Particles, Stamp};
 use eddy_inference::{
     checkpoint::Checkpoint,
-    engine::{self, HiddenState, ModelError, Stepper},
+    engine::{self, HiddenState, ModelError, Stated, Stepper},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -144,7 +144,11 @@ impl Surrogate {
 
     /// What the network was not trained for in a stream that begins with this frame, one sentence each.
     fn warnings(&self, first: &Bound<'_, Frame>) -> Vec<String> {
-        self.inner.warnings(&first.get().inner).iter().map(ToString::to_string).collect()
+        self.inner
+            .warnings(&first.get().inner, Stated::default())
+            .iter()
+            .map(ToString::to_string)
+            .collect()
     }
 
     fn __repr__(&self) -> String {

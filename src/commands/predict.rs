@@ -1,8 +1,8 @@
 //! `eddy predict`: the node's code over a bag.
 
-use std::time::Duration;
+use std::{path::Path, time::Duration};
 
-use anyhow::{anyhow, ensure};
+use anyhow::{anyhow, bail};
 
 use super::{
     Interrupt,
@@ -11,8 +11,9 @@ use super::{
     streams, surrogate,
 };
 use crate::cli::PredictArgs;
-use eddy_bag::{BagReader, BagWriter, WriterOptions};
+use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions};
 use eddy_evaluation::{EvaluationError, dataset};
+use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{NodeSettings, Prediction, SurrogateNode};
 use eddy_settings::usage::Usage;
@@ -33,6 +34,7 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         let stiffness = dataset::stiffness_of(&reader, &args.topic);
         settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
     }
+    let stated = dataset::stated_by(&reader, &args.topic)?;
     let mut node = SurrogateNode::new(surrogate, settings)?;
     let found = dataset::survey_streams(&reader, &args.topic, &|| interrupt.requested())?;
     if let (Some(first), false) = (found.unusable.values().next(), args.skip_streams) {
@@ -40,12 +42,13 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     }
     let skipped: Vec<_> = found.unusable.values().cloned().collect();
     streams::count_skipped(&skipped, found.usable.len());
+    node.streams_state(stated);
 
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
     let messages = reader.messages_of(&args.topic, ParticleFrame::TYPE)?;
-    let mut writer = BagWriter::create(&args.output, WriterOptions::default())?;
-    let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
+    // From the first prediction on, so that there is no empty bag.
+    let mut written: Option<(BagWriter, TopicId)> = None;
     let mut failure = None;
     for message in messages {
         if interrupt.requested() {
@@ -68,13 +71,11 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         let (mut published, mut outcome) = (0, Ok(()));
         node.on_frames(&mut arrival, None, &mut |_, predicted| match predicted {
             Ok(Prediction { frame, .. }) if outcome.is_ok() => {
-                outcome = writer.write_stamped(topic, frame.stamp, &frame.to_cdr());
+                outcome = write(&mut written, &args.output, frame);
                 published += 1;
             }
-            Ok(_) => {}
-            Err(rejection) => {
-                tracing::warn!("{}: frame rejected: {rejection}", args.input.display());
-            }
+            // The node logs what it rejects.
+            Ok(_) | Err(_) => {}
         });
         outcome?;
         node.counters_mut().published += published;
@@ -83,14 +84,45 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
             break;
         }
     }
-    writer.finish()?;
-    if !quiet {
-        println!("{}: {}", args.output.display(), summary(node.counters()));
+    let is_empty = written.is_none();
+    if let Some((writer, _)) = written {
+        writer.finish()?;
+    }
+    let input = args.input.display();
+    node.rejections().totals().iter().for_each(|total| tracing::warn!("{input}: {total}"));
+    if !quiet && !is_empty {
+        println!("{}: {}", args.output.display(), summary(&node));
     }
     if let Some(failure) = failure {
         return Err(failure);
     }
-    ensure!(node.counters().published > 0, "{}: no frames to predict from", args.input.display());
+    if is_empty {
+        let received = node.counters().received;
+        match node.rejections().last() {
+            Some(reason) if node.counters().bad() == received => {
+                bail!("{input}: all {received} frames were rejected: {reason}")
+            }
+            Some(_) => bail!("{input}: no frames to predict from: {}", summary(&node)),
+            None => bail!("{input}: no frames to predict from"),
+        }
+    }
     room.replaced();
     Ok(())
+}
+
+/// Writes a prediction; the first one begins the bag.
+fn write(
+    written: &mut Option<(BagWriter, TopicId)>,
+    output: &Path,
+    frame: &Frame,
+) -> Result<(), BagError> {
+    let (writer, topic) = match written {
+        Some(open) => open,
+        None => {
+            let mut writer = BagWriter::create(output, WriterOptions::default())?;
+            let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
+            written.insert((writer, topic))
+        }
+    };
+    writer.write_stamped(*topic, frame.stamp, &frame.to_cdr())
 }

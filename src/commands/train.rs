@@ -18,7 +18,7 @@ use eddy_learning::{
     ranks::{Process, ProcessOptions, Timing},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
-        test_skill, train,
+        data_warnings, test_skill, train,
     },
 };
 use eddy_settings::{Overrides, ensure_usage, usage::Usage};
@@ -71,6 +71,10 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     );
     let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;
+    if leads {
+        let warnings = data_warnings(&config, &dataset, start.as_ref());
+        warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+    }
     if !quiet {
         introduce(&config, &dataset);
     }
@@ -99,7 +103,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             start: start.as_ref(),
             resume: args.resume,
             machine: Machine::with_free_disk(memory, output)?,
-            command: std::env::args().collect::<Vec<_>>().join(" "),
+            command: recorded_command(std::env::args()),
             progress: &progress,
             on_epoch: &|_| (),
         };
@@ -146,6 +150,23 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         abandon(&format!("{error:#}"));
     }
     Err(error)
+}
+
+/// The command line as checkpoints record it: without the path of the program and without the words that say where the checkpoint goes.
+/// The digest of a checkpoint covers it, and the same training has the same digest wherever it is written to.
+fn recorded_command(arguments: impl Iterator<Item = String>) -> String {
+    let mut arguments = arguments.skip(1);
+    let mut recorded = vec!["eddy".to_owned()];
+    while let Some(argument) = arguments.next() {
+        let is_short = argument.starts_with("-o") && !argument.starts_with("--");
+        match argument.as_str() {
+            "--output" | "-o" => _ = arguments.next(),
+            "--force" | "--resume" | "--quiet" | "-q" => {}
+            _ if is_short || argument.starts_with("--output=") => {}
+            _ => recorded.push(argument),
+        }
+    }
+    recorded.join(" ")
 }
 
 /// The place of this process among several that train together, as torchrun or Slurm say it. On the CPU, tasks of Slurm are runs
@@ -415,4 +436,23 @@ fn comparison(outcomes: &[(u64, Outcome)], horizon: usize) -> Table {
     table.row("standard deviation", cells(String::new(), each.map(deviation)));
     table.row("best of each", cells(String::new(), each.map(extreme)));
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::recorded_command;
+
+    #[test]
+    fn the_recorded_command_does_not_say_where_the_checkpoint_went() {
+        let recorded = |line: &str| recorded_command(line.split(' ').map(str::to_owned));
+        let expected = "eddy train --data bags/a bags/b --epochs 3";
+        for line in [
+            "eddy train --data bags/a bags/b --output checkpoints/one --epochs 3",
+            "/usr/bin/eddy train --data bags/a bags/b --epochs 3 --output=elsewhere --force",
+            "target/release/eddy -q train -o elsewhere --data bags/a bags/b --epochs 3 --resume",
+            "eddy train -oelsewhere --data bags/a bags/b --epochs 3",
+        ] {
+            assert_eq!(recorded(line), expected, "{line}");
+        }
+    }
 }

@@ -40,6 +40,7 @@ mod secure;
 mod services;
 mod shell;
 mod shm;
+mod stated;
 mod stiffness;
 mod stuck;
 mod study;

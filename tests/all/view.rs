@@ -11,6 +11,7 @@ use std::{
 
 use eddy_frames::{Domain, Frame, FrameView, Material, Stamp};
 use eddy_inference::checkpoint::Checkpoint;
+use eddy_messages::{Message as _, ParticleFrame};
 use eddy_node::viewer::{
     Comparison, ControlState, Controls, HEADER, Hub, NoControls, PageCommand, PageInfo,
     PredictionInfo, Viewer,
@@ -19,7 +20,7 @@ use eddy_transport::ListenAddress;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest as _};
 
-use crate::support::{DEADLINE, Process, World, eddy, fail, simulate};
+use crate::support::{DEADLINE, Process, World, eddy, fail, simulate, wait_for};
 
 /// A browser that draws nothing.
 struct Browser {
@@ -395,7 +396,7 @@ fn the_demo_shows_truth_and_prediction_and_does_what_its_page_asks_for() {
     let pair = browser.until("a prediction meets its truth", |shown| shown.has(PAIR));
     assert!(pair.has(TRUTH | PREDICTION) && pair.sequences[0] == pair.sequences[1], "{pair:?}");
     assert!(pair.errors[0] > 0.0 && pair.errors[0] < 0.1, "{pair:?}");
-    assert_eq!(pair.ahead, 1);
+    assert_eq!(pair.ahead, 20);
     let metrics = browser.metrics_until("the node reports", |metrics| {
         metrics["node"]["rate"].as_f64().is_some_and(|rate| rate > 1.0)
             && metrics["curves"]["time"].as_array().is_some_and(|time| time.len() > 10)
@@ -506,6 +507,37 @@ fn a_replay_and_a_node_have_pages_of_their_own() {
         process.interrupt();
         assert!(process.wait().success());
     }
+}
+
+#[test]
+fn a_page_says_why_frames_are_rejected_and_how_a_stream_differs() {
+    let world = World::new("banner");
+    let mut node = Process::start(eddy().args([
+        "node",
+        "--input",
+        &world.link("shm", "particles").to_string(),
+        "--output",
+        &world.link("shm", "prediction").to_string(),
+        "--view",
+        "0",
+    ]));
+    let (mut browser, _) = Browser::open(&address_of(&mut node));
+    let mut source = world.publisher("shm", "particles", ParticleFrame::TYPE);
+    wait_for("the node listens", || (source.subscribers() > 0).then_some(()));
+    let wide = Frame { domain: Domain { lower: [0.0; 2], upper: [2.0, 1.0] }, ..frame(0, 60) };
+    source.publish_frame(&wide).unwrap();
+    let metrics = browser
+        .metrics_until("the stream differs", |metrics| metrics["node"]["warnings"][0].is_string());
+    let warning = metrics["node"]["warnings"][0].as_str().unwrap();
+    assert!(warning.starts_with("domain is 2 x 1, model was trained on 1 x 1"), "{warning}");
+    assert!(metrics["node"]["rejected"].is_null(), "{metrics}");
+    source.publish_frame(&Frame { dt: 0.02, sequence: 1, ..wide }).unwrap();
+    browser.metrics_until("a frame is rejected", |metrics| {
+        let rejected = metrics["node"]["rejected"].as_str();
+        rejected.is_some_and(|said| said.contains("dt: found 0.02 s, expected 0.016 s"))
+    });
+    node.interrupt();
+    assert!(node.wait().success());
 }
 
 #[test]

@@ -24,7 +24,7 @@ use crate::{
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     checkpoint::Checkpoint,
-    engine::{ModelError, Surrogate},
+    engine::{ModelError, Surrogate, warnings},
 };
 use eddy_mpm::Scene;
 
@@ -164,6 +164,7 @@ pub struct Evaluation {
     recorded: Vec<Recorded>,
     join_late: bool,
     remarks: Vec<String>,
+    warnings: Vec<String>,
     pool: rayon::ThreadPool,
 }
 
@@ -224,15 +225,17 @@ impl Evaluation {
                     stream: stream.id,
                     reason: Box::new(reason),
                 })?;
-                for remark in model.warnings(&first) {
-                    *counted.entry(format!("{name}: {remark}")).or_insert(0) += 1;
+                for warning in warnings(model.description(), &stream.setup()) {
+                    *counted.entry(format!("{name}: {warning}")).or_insert(0) += 1;
                 }
             }
         }
+        let all = selection.streams.len();
+        let counted = counted.into_iter();
+        let warnings = counted
+            .map(|(warning, streams)| format!("{warning} ({streams} of {all} streams)"))
+            .collect();
         let mut remarks = selection.remarks.clone();
-        for (remark, streams) in counted {
-            remarks.push(format!("{remark} ({streams} of {} streams)", selection.streams.len()));
-        }
         for (name, model) in names.iter().zip(&models) {
             remarks.extend(calibrated_on(name, model, &selection.streams)?);
         }
@@ -240,7 +243,17 @@ impl Evaluation {
             return Err(EvaluationError::Cancelled);
         }
         let references = pool.install(|| References::new(&references, &selection.streams))?;
-        Ok(Self { selection, references, names, models, recorded, join_late, remarks, pool })
+        Ok(Self {
+            selection,
+            references,
+            names,
+            models,
+            recorded,
+            join_late,
+            remarks,
+            warnings,
+            pool,
+        })
     }
 
     /// The streams to evaluate on: bag, id, and the sequence numbers that rollouts start from.
@@ -252,9 +265,14 @@ impl Evaluation {
         })
     }
 
-    /// Remarks for the user, one sentence each: excluded streams, models trained for a different setup.
+    /// Remarks for the user, one sentence each: excluded streams, what a model was calibrated on.
     pub fn remarks(&self) -> &[String] {
         &self.remarks
+    }
+
+    /// How streams differ from what the models were trained on, one sentence each.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
     }
 
     /// Evaluates and times all predictors. Apart from times, the report does not depend on the number of threads.

@@ -31,9 +31,10 @@ pub use requests::{PendingRequest, RequestChannel, Responder};
 pub use service::Service;
 pub use surrogate::{
     Arrival, CloudTopic, Counters, DriveError, FrameQueue, GroupCounts, GroupMember, InvalidLinks,
-    InvalidSettings, LiveNode, NodeContext, NodeHandle, NodeLinks, NodeRequest, NodeResponse,
-    NodeSettings, Observer, OpenClock, OpenError, Outputs, PARAMETERS, ParameterSpec, Prediction,
-    Publish, Rejection, RequestError, RosTime, SurrogateNode, Values, diagnostics, drive,
+    InvalidSettings, LiveNode, NodeContext, NodeHandle, NodeLinks, NodeReport, NodeRequest,
+    NodeResponse, NodeSettings, Observer, OpenClock, OpenError, Outputs, PARAMETERS, ParameterSpec,
+    Prediction, Publish, Rejected, Rejection, RejectionLog, RequestError, RosTime, SurrogateNode,
+    Values, diagnostics, drive,
 };
 
 /// The example of the README, which a test runs.

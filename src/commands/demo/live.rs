@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use crate::terminal;
+use crate::{commands::counted, terminal};
 use eddy_frames::Frame;
 use eddy_messages::PredictionStatus;
 use eddy_node::{
@@ -69,15 +69,15 @@ impl Live {
             let [p50, p99] = [rates.latency_p50, rates.latency_p99].map(milliseconds);
             parts.push((5, format!("latency p50 {p50:.1} ms, p99 {p99:.1} ms")));
         }
+        parts.push((1, format!("{} ahead", counted(summary.horizon.into(), "frame"))));
         parts.push((0, format!("error {:.1e}", summary.error)));
         if let Some((best, error)) = summary.baseline {
             parts.push((2, format!("{} {error:.1e}", best.name())));
         }
-        if let Some(skill) = summary.skill() {
-            parts.push((0, format!("skill {skill:+.2}")));
-        }
-        if summary.horizon > 1 {
-            parts.push((1, format!("{} frames ahead", summary.horizon)));
+        match summary.skill() {
+            Some(skill) => parts.push((0, format!("skill {skill:+.2}"))),
+            None if summary.baseline.is_some() => parts.push((0, "at rest".to_owned())),
+            None => {}
         }
         terminal::fit(&parts, SEPARATOR, columns)
     }

@@ -36,7 +36,7 @@ use eddy_evaluation::{
     dataset::{self, LoadOptions},
     evaluate_model,
 };
-use eddy_frames::{Stamp, clock};
+use eddy_frames::{Stamp, clock, decimal};
 use eddy_inference::engine::Precision;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
 use eddy_node::{
@@ -52,8 +52,10 @@ const NAME: &str = "eddy_demo";
 const SCENE: u64 = 4;
 /// Default output directory.
 const DEFAULT_OUTPUT: &str = "bags/demo";
-/// Default duration of a scene (simulated s).
-const SECONDS: f64 = 8.0;
+/// Default duration of a scene (simulated s): then little happens.
+const SECONDS: f64 = 5.0;
+/// Frames that are predicted ahead: far enough that truth and prediction can look different.
+const AHEAD: u32 = 20;
 
 /// Runs the demo.
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -64,7 +66,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let comparison = Comparison::new(surrogate.description());
     let info = PageInfo {
         command: "demo",
-        title: "Liquid and jelly, simulated and predicted".to_owned(),
+        title: format!("Predicted {AHEAD} frames ahead, beside what then happened"),
         model: Some(surrogate.digest().to_owned()),
     };
     let mut scenes = Scenes {
@@ -75,8 +77,13 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let first = scenes.simulation(0)?;
     // With a page, free runs pause with the simulation, and finished scenes are evicted.
     let settings = match args.headless {
-        true => NodeSettings::default(),
-        false => NodeSettings { use_sim_time: true, max_streams: 1, ..NodeSettings::default() },
+        true => NodeSettings { horizon: AHEAD, ..NodeSettings::default() },
+        false => NodeSettings {
+            horizon: AHEAD,
+            use_sim_time: true,
+            max_streams: 1,
+            ..NodeSettings::default()
+        },
     };
     // All scenes have the preset's.
     let stiffness = first.scene().materials.stiffness;
@@ -94,7 +101,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     let bag = folder.join("bag");
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("cannot create {}", folder.display()))?;
-    introduce(&scenes);
+    introduce(&scenes, first.scene().frames.interval);
     if let Some(page) = &page {
         announce_page(page);
     }
@@ -144,7 +151,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     drop(page);
     let recorded = links.watch.finish()?;
     output.replaced();
-    println!("{}", summary(node.counters()));
+    println!("{}", summary(&node));
     println!("bag:    {} ({} messages)", bag.display(), recorded.messages);
     if !complete {
         println!("interrupted: not evaluated");
@@ -154,17 +161,20 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 }
 
 /// Says what is simulated and what the numbers mean.
-fn introduce(scenes: &Scenes) {
+fn introduce(scenes: &Scenes, interval: f32) {
+    let ahead = f64::from(AHEAD) * decimal(interval);
     println!(
-        "Simulating {} s of liquid and jelly, and predicting each next frame.",
-        scenes.seconds
+        "Simulating matter, and predicting it {AHEAD} frames ({ahead:.2} s) ahead from what was observed so far."
     );
     if scenes.endless {
-        println!("More scenes follow until Ctrl-C; the first one is recorded and evaluated.");
+        println!(
+            "Scenes follow one another until Ctrl-C; the first one is recorded and evaluated."
+        );
     }
     println!("error:  RMS distance from predicted to true positions (the box is 1 x 1)");
     println!("skill:  1 is perfect; 0 is as good as the best of three simple guesses, which");
-    println!("        stands before it with its own error; below 0 the guess is better");
+    println!("        stands before it with its own error; below 0 the guess is better;");
+    println!("        at rest, where nothing is left to predict, there is none");
 }
 
 /// Says what to type next.
@@ -211,6 +221,7 @@ impl Links {
                 began: Stamp(0),
                 now: Stamp(0),
                 hub: None,
+                named: None,
             },
             outputs: Outputs::new(
                 publish("/prediction", ParticleFrame::TYPE)?,

@@ -3,27 +3,38 @@
 use std::sync::Arc;
 
 use super::SCENE;
-use eddy_frames::{Frame, Stamp};
+use eddy_frames::{Frame, Material, Stamp};
 use eddy_messages::{self as msg, cdr};
 use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
 use eddy_node::{Pacer, viewer::Hub};
 use eddy_transport::Publisher;
 
+/// Duration after which a scene ends as soon as it is at rest, if others follow (simulated s).
+const SHORTEST: f64 = 2.0;
+
 pub(super) struct Scenes {
     pub(super) seed: u64,
-    /// Duration of each scene (simulated s).
+    /// Longest duration of a scene (simulated s).
     pub(super) seconds: f64,
+    /// Whether another scene follows at the end of one, or as soon as little moves in it.
     pub(super) endless: bool,
+}
+
+/// The name of the scene that a frame belongs to.
+pub(super) fn name(frame: &Frame) -> String {
+    let materials: Vec<_> =
+        Material::ALL.into_iter().filter(|m| frame.material.contains(m)).collect();
+    let names: Vec<_> = materials.iter().map(|material| material.name()).collect();
+    format!("scene {}: {}", frame.stream.saturating_sub(SCENE) + 1, names.join(" and "))
 }
 
 impl Scenes {
     /// The scene of this number, a stream of its own.
     pub(super) fn simulation(&self, number: u64) -> anyhow::Result<Simulation> {
-        let seed = self.seed.wrapping_add(number);
-        let scene = Scene::generate(Preset::MultiMaterial, seed, SCENE);
-        let scene = Scene { id: SCENE + number, ..scene };
-        let settings = mpm::Settings { duration: Some(self.seconds), ..mpm::Settings::default() };
-        Ok(Simulation::new(scene, &settings)?)
+        let mut scene = Scene::generate(Preset::MultiMaterial, self.seed, SCENE + number);
+        scene.frames.duration = self.seconds;
+        scene.frames.shortest = self.endless.then_some(SHORTEST.min(self.seconds));
+        Ok(Simulation::new(scene, &mpm::Settings::default())?)
     }
 
     /// Simulates scenes one after the other. Returns whether the first was complete.
@@ -59,10 +70,16 @@ pub(super) struct Source {
     pub(super) now: Stamp,
     /// The live page.
     pub(super) hub: Option<Arc<Hub>>,
+    /// The scene whose name it has.
+    pub(super) named: Option<u64>,
 }
 
 impl Source {
     fn publish(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        if let Some(hub) = self.hub.as_ref().filter(|_| self.named != Some(frame.stream)) {
+            hub.begins(frame.stream, name(frame));
+            self.named = Some(frame.stream);
+        }
         self.truth.publish_frame(frame)?;
         self.now = Stamp(self.began.0 + frame.stamp.0);
         Ok(self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: self.now.into() }))?)

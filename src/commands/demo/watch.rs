@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::Context;
 
-use super::{SCENE, live::Live};
+use super::{SCENE, live::Live, scenes::name};
 use crate::terminal;
 use eddy_bag::{BagSummary, TopicId};
 use eddy_frames::clock::{self, Clock};
@@ -64,7 +64,7 @@ impl Watch {
             Printer::Line => Duration::from_millis(200),
             Printer::Lines { .. } => Duration::from_secs(1),
         };
-        let mut printed = clock.now();
+        let (mut printed, mut named) = (clock.now(), None);
         loop {
             let ended = truth_ended.load(Ordering::Relaxed);
             self.predictions(&mut live)?;
@@ -78,7 +78,13 @@ impl Watch {
                 live.status(status);
             }
             match self.truth.receive(&mut self.recorder, MAX_WAIT)? {
-                Some(payload) => live.truth(payload.into_frame()?),
+                Some(payload) => {
+                    let frame = payload.into_frame()?;
+                    if named.replace(frame.stream) != Some(frame.stream) {
+                        printer.announce(&name(&frame));
+                    }
+                    live.truth(frame);
+                }
                 None if ended => break,
                 None => {}
             }
@@ -143,6 +149,13 @@ impl Printer {
         match self {
             Self::Line => terminal::columns(),
             Self::Lines { .. } => usize::MAX,
+        }
+    }
+
+    /// Prints a line that stays.
+    fn announce(&self, line: &str) {
+        if !matches!(self, Self::Lines { quiet: true }) {
+            println!("{line}");
         }
     }
 

@@ -40,6 +40,7 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     };
     let evaluation = Evaluation::with_models(request(&args)?, &load, &progress)?;
     evaluation.remarks().iter().for_each(|remark| println!("{remark}"));
+    evaluation.warnings().iter().for_each(|warning| tracing::warn!("{warning}"));
     let report = evaluation.run(&progress)?;
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
     room.replaced();

@@ -25,9 +25,8 @@ use eddy_messages::{Message, ParticleFrame};
 #[cfg(feature = "foxglove")]
 use eddy_node::{CloudTopic, Outputs};
 use eddy_node::{
-    Counters, InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeRequest, NodeResponse,
+    InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeReport, NodeRequest, NodeResponse,
     NodeSettings, Observer, Prediction, SurrogateNode,
-    diagnostics::Rates,
     ros::{RosNode, Rosout, TopicQos},
     viewer::{ControlPanel, LivePage, PageInfo},
 };
@@ -165,7 +164,7 @@ pub fn run(
     });
     terminal::clear_status();
     if !quiet {
-        println!("{}", summary(live.node().counters()));
+        println!("{}", summary(live.node()));
     }
     Ok(outcome?)
 }
@@ -194,18 +193,26 @@ impl Observer for StatusLine {
 
     fn predicted(&mut self, _: &Prediction<'_>) {}
 
-    fn reported(&mut self, rates: &Rates, counters: &Counters, streams: usize) {
+    fn reported(&mut self, report: &NodeReport<'_>) {
+        let &NodeReport { rates, counters, streams, rejected, .. } = report;
         if counters.received == 0 {
             return;
         }
         let milliseconds = |latency: Duration| format!("{:.1} ms", latency.as_secs_f64() * 1e3);
         let [p50, p99] = [rates.latency_p50, rates.latency_p99].map(milliseconds);
+        let all_rejected = counters.bad() + counters.late;
+        // First, so that a narrow terminal does not cut it off.
+        let rejection = match rejected {
+            Some(reason) => format!("{all_rejected} rejected: {reason}"),
+            None if all_rejected > 0 => format!("{all_rejected} rejected"),
+            None => String::new(),
+        };
         let parts = [
+            (0, rejection),
             (0, format!("{:.1} predictions/s", rates.rate)),
             (1, format!("latency p50 {p50}, p99 {p99}")),
             (2, counted(streams as u64, "stream")),
             (0, format!("{} lost", counters.frames_lost())),
-            (3, format!("{} rejected", counters.bad() + counters.late)),
         ];
         terminal::show_status(&terminal::fit(&parts, " | ", terminal::columns()));
     }
@@ -253,13 +260,18 @@ fn foxglove(
     Ok(Some(server))
 }
 
-/// The counters in one line, without zeros.
-pub(super) fn summary(counters: &Counters) -> String {
-    let counted: Vec<_> = counters
+/// The counters in one line, without zeros, and why the last rejected frame was rejected.
+pub(super) fn summary(node: &SurrogateNode) -> String {
+    let counted: Vec<_> = node
+        .counters()
         .named()
         .into_iter()
         .filter(|&(name, count)| count > 0 || matches!(name, "received" | "published"))
         .map(|(name, count)| format!("{count} {}", name.replace('_', " ")))
         .collect();
-    counted.join(", ")
+    let counted = counted.join(", ");
+    match node.rejections().last() {
+        Some(reason) => format!("{counted}; last rejected: {reason}"),
+        None => counted,
+    }
 }

@@ -127,7 +127,7 @@ fn prometheus_reads_the_counters_of_a_node() {
         let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
         line.map(|value| value.parse::<f64>().unwrap())
     };
-    let text = crate::support::wait_for("all frames are counted", || {
+    let text = wait_for("all frames are counted", || {
         let answer = ask_http(&address, "/metrics", &format!("Host: {address}\r\n"));
         assert!(answer.contains("content-type: text/plain; version=0.0.4"), "{answer}");
         let (_, text) = answer.split_once("\r\n\r\n").unwrap();

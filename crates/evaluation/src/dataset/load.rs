@@ -16,7 +16,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::{
     DatasetError, FrameStore, LoadOptions, Loaded, State, Stream, TRUTH_TOPIC, Trajectory,
     frame_store::{self, BLOCK, Block, StreamLocation},
-    quantities::Stiffnesses,
+    quantities::Quantities,
     statistics::Bounds,
 };
 use eddy_bag::{BagError, BagReader, find_bags};
@@ -111,7 +111,7 @@ pub(super) fn load(
     let LoadOptions { memory, skip_streams } = options;
     let bags = find_bags(paths)?;
     let bags = bags.iter().map(|path| BagReader::open(path)).collect::<Result<Vec<_>, _>>()?;
-    let mut stiffnesses = Stiffnesses::of_bags(&bags)?;
+    let mut quantities = Quantities::of_bags(&bags)?;
     let topics = bags.iter().flat_map(BagReader::topics).filter(|topic| topic.name == TRUTH_TOPIC);
     let all = topics.map(|topic| topic.message_count).sum();
     let progress = Mutex::new((0, progress));
@@ -151,12 +151,20 @@ pub(super) fn load(
     {
         return Err(DatasetError::Unusable(Box::new(first.clone())));
     }
+    let mut gravity = Vec::with_capacity(partials.len());
     for PartialStream { stream, location, .. } in &mut partials {
-        stream.stiffness = stiffnesses.of(location.bag, &stream.source, stream.id);
+        let stated = quantities.of(location.bag, &stream.source, stream.id);
+        stream.stiffness = stated.stiffness;
+        gravity.push(stated.gravity);
     }
+    let with_gravity = |(mut stream, gravity): (Trajectory, _)| {
+        stream.gravity = gravity;
+        stream
+    };
     if budget.holds() {
         let streams = partials.into_iter().map(|partial| Trajectory::from(partial.stream));
-        return Ok(Loaded { streams: streams.collect(), skipped });
+        let streams = streams.zip(gravity).map(with_gravity).collect();
+        return Ok(Loaded { streams, skipped });
     }
     // A quarter is left for windows that training cuts ahead.
     let limit = memory / 4 * 3;
@@ -169,7 +177,8 @@ pub(super) fn load(
     let stored = |(number, (stream, frames, bounds, rest))| {
         Trajectory::stored(stream, frames, bounds, rest, &store, number)
     };
-    Ok(Loaded { streams: streams.into_iter().enumerate().map(stored).collect(), skipped })
+    let streams = streams.into_iter().enumerate().map(stored).zip(gravity).map(with_gravity);
+    Ok(Loaded { streams: streams.collect(), skipped })
 }
 
 /// The first frame of a stream, if it cannot be used with those of this interval and domain.

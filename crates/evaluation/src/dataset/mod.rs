@@ -34,7 +34,7 @@ use sha2::{Digest, Sha256};
 pub use frame_store::{CacheUsage, FrameStore};
 pub use load::{StreamsFound, survey_streams};
 pub use memory::available_memory;
-pub use quantities::{quantity_of_stream, stiffness_of};
+pub use quantities::{quantity_of_stream, stated_by, stiffness_of};
 pub use split::Part;
 pub use statistics::Bounds;
 pub use stream::{State, Stream};
@@ -209,6 +209,14 @@ impl Dataset {
     /// As [`Trajectory::visit`].
     pub fn seen(&self) -> Result<Vec<String>, DatasetError> {
         self.train.iter().chain(&self.validation).map(Trajectory::fingerprint).collect()
+    }
+
+    /// The smallest and the largest stiffness of the training part (density x velocity^2), if all of its streams state it.
+    pub fn stated_stiffness(&self) -> Option<[f32; 2]> {
+        let all: Option<Vec<f32>> = self.train.iter().map(|stream| stream.stiffness).collect();
+        let all = all.filter(|all| !all.is_empty())?;
+        let extreme = |most: fn(f32, f32) -> f32| all.iter().copied().reduce(most);
+        Some([extreme(f32::min)?, extreme(f32::max)?])
     }
 
     /// The store of frames on disk, unless they are in memory.

@@ -8,6 +8,7 @@ use super::{
     DatasetError, FrameStore, State, Stream, add_to_digest, begin_digest, hex, statistics::Bounds,
 };
 use eddy_frames::{Domain, Material, Stamp};
+use eddy_inference::engine::{Stated, StreamSetup};
 
 /// Consecutive frames of one simulated trajectory, in memory or on disk.
 #[derive(Clone, Debug)]
@@ -29,6 +30,8 @@ pub struct Trajectory {
     /// Young's modulus of its materials, if it is known (density x velocity^2): from the metadata of its bag, or from the manifest of
     /// `eddy simulate` beside the bag.
     pub stiffness: Option<f32>,
+    /// Gravity along y, negative is down, if it is known (domain lengths per second squared): from the same places.
+    pub gravity: Option<f32>,
     /// Number of frames.
     pub frames: usize,
     /// Bounding box of its positions (domain lengths).
@@ -78,6 +81,7 @@ impl Trajectory {
             first_sequence,
             first_stamp,
             stiffness,
+            gravity: None,
             frames,
             bounds,
             rest: Arc::new(rest),
@@ -115,6 +119,13 @@ impl Trajectory {
             Storage::Disk(store, number) => store.visit(*number, frames, &mut look)?,
         }
         Ok(())
+    }
+
+    /// What is known of it at its beginning.
+    pub fn setup(&self) -> StreamSetup<'_> {
+        let &Self { domain, first_sequence: sequence, gravity, stiffness, .. } = self;
+        let stated = Stated { gravity, stiffness };
+        StreamSetup { domain, position: &self.rest, material: &self.material, sequence, stated }
     }
 
     /// Its stiffness.

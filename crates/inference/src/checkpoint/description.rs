@@ -58,6 +58,9 @@ pub struct TrainingSummary {
     /// Digest of the checkpoint that the training started from, if it did not start from random weights.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<String>,
+    /// The smallest and the largest stiffness of the streams used for training (density x velocity^2), if they stated it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stiffness: Option<[f32; 2]>,
     /// Fingerprints of the streams used for training and validation (`Trajectory::fingerprint`), which evaluations exclude;
     /// empty if unknown.
     #[serde(default, skip_serializing_if = "Fingerprints::is_empty")]
@@ -131,6 +134,16 @@ impl Description {
     /// Whether a frame interval (s) is that of the network.
     pub fn has_interval(&self, dt: f32) -> bool {
         (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
+    }
+
+    /// The smallest and the largest stiffness of the matter that it was trained on (density x velocity^2): those that it has weights
+    /// for, otherwise what the streams stated, otherwise that of the rule `elastic`; `None` if none of them says it.
+    pub fn trained_stiffness(&self) -> Option<[f32; 2]> {
+        if let [low, .., high] = self.stiffness_knots.as_slice() {
+            return Some([*low, *high]);
+        }
+        let of_rule = || self.rules.elastic.filter(|_| !self.stiffness);
+        self.training.stiffness.or_else(|| of_rule().map(|rule| [rule.stiffness(); 2]))
     }
 
     /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this

@@ -9,6 +9,10 @@ use crate::{
     engine::Ballistic,
     kernels::lattice::{self, Elasticity},
 };
+use eddy_frames::decimal;
+
+/// Young's modulus of jelly relative to the stiffness of a stream, as in the solver.
+pub const JELLY_MODULUS: f32 = 0.3;
 
 /// Constants of the rule that a body of jelly moves by its own stress and the walls while nothing else is close to it and its lattice was not wrong in
 /// the last frame, whatever was predicted.
@@ -80,6 +84,11 @@ impl ElasticRule {
         self
     }
 
+    /// The stiffness of a stream whose jelly has this modulus (density x velocity^2).
+    pub fn stiffness(&self) -> f32 {
+        (decimal(self.modulus) / decimal(JELLY_MODULUS)) as f32
+    }
+
     /// Elements that a pressure wave crosses in a frame of `dt` seconds.
     fn crossings(&self, spacing: f32, dt: f32) -> f32 {
         dt * self.wave_speed() / (self.cell_width * spacing)
@@ -129,7 +138,7 @@ impl Default for ElasticRule {
     /// For jelly whose modulus is .3 of a stream's stiffness.
     fn default() -> Self {
         Self {
-            modulus: 0.3,
+            modulus: JELLY_MODULUS,
             poisson_ratio: 0.2,
             cell_width: 3.5,
             steps: 25,

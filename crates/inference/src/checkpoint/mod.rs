@@ -26,7 +26,7 @@ mod rules;
 
 pub(crate) use description::field;
 pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
-pub use elastic::ElasticRule;
+pub use elastic::{ElasticRule, JELLY_MODULUS};
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};

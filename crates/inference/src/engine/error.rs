@@ -43,7 +43,9 @@ pub enum ModelError {
         expected: String,
     },
     /// The frame interval differs from the one in training.
-    #[error("dt: found {found} s, expected {expected} s as in the checkpoint")]
+    #[error(
+        "dt: found {found} s, expected {expected} s as in the checkpoint: publish frames that far apart, or train on such data"
+    )]
     Interval {
         /// The frame's interval (s).
         found: f32,

@@ -14,7 +14,7 @@
 //!    (`bf16`).
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
-//! 8. [`fits()`]: which frames a network can predict. [`Warning`]: inputs that it can predict, but was not trained for.
+//! 8. [`fits()`]: which frames a network can predict. [`Warning`]: what a stream states compared with what a network was trained on.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
 //!    or the [`Accelerator`].
 //!
@@ -73,4 +73,4 @@ pub use hidden_state::HiddenState;
 pub use rules::Corrector;
 pub use stepper::{StepRequest, Stepper};
 pub use surrogate::{Precision, Surrogate};
-pub use warning::Warning;
+pub use warning::{Stated, StreamSetup, Warning, warnings};

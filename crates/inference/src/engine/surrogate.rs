@@ -10,9 +10,9 @@ use std::{
 use pulp::Arch;
 
 use super::{
-    Accelerator, HiddenState, ModelError, Stepper, StreamStart, Warning, frame_model::FrameModel,
-    hidden_state, particle_model::ParticleModel, scales::stiffness_feature, stepper::Network,
-    warning,
+    Accelerator, HiddenState, ModelError, Stated, Stepper, StreamSetup, StreamStart, Warning,
+    frame_model::FrameModel, hidden_state, particle_model::ParticleModel,
+    scales::stiffness_feature, stepper::Network, warning,
 };
 use crate::{
     checkpoint::{Architecture, Checkpoint, Description},
@@ -271,8 +271,8 @@ impl Surrogate {
 
     /// Warnings about a stream that begins with a frame that [`Surrogate::fits`]: the network can predict it, but was not
     /// trained for it.
-    pub fn warnings(&self, frame: &Frame) -> Vec<Warning> {
-        warning::warnings(&self.description, frame)
+    pub fn warnings(&self, frame: &Frame, stated: Stated) -> Vec<Warning> {
+        warning::warnings(&self.description, &StreamSetup::of(frame, stated))
     }
 
     /// The hidden state of a stream that begins with `frame`, before any frame is observed: `frame` itself is to be passed

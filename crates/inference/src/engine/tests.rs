@@ -269,7 +269,10 @@ fn particles_that_a_network_cannot_predict_are_rejected() {
     let expected = "expected one of liquid, jelly, rope as in the checkpoint";
     assert_eq!(message, format!("material[2]: found snow, {expected}"));
     let message = rejection(Architecture::Particle, |frame| frame.dt = 0.02);
-    assert_eq!(message, "dt: found 0.02 s, expected 0.016 s as in the checkpoint");
+    assert!(
+        message.starts_with("dt: found 0.02 s, expected 0.016 s as in the checkpoint: "),
+        "{message}"
+    );
     let message = rejection(Architecture::Frame, |frame| frame.domain.upper = [2.0, 1.0]);
     assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
     for upper in [[1.0, 0.09], [f32::NAN, 1.0], [1.0, -2.0]] {

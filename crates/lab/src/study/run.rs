@@ -265,7 +265,8 @@ impl<'a> Work<'a> {
         self.tell(&command);
         let evaluation =
             Evaluation::with_models(self.evaluation(set)?, &self.loader(), self.progress)?;
-        evaluation.remarks().iter().for_each(|remark| self.tell(remark));
+        let sentences = evaluation.remarks().iter().chain(evaluation.warnings());
+        sentences.for_each(|sentence| self.tell(sentence));
         let mut report = evaluation.run(self.progress)?;
         report.made.command = command;
         report.save(&folder).with_context(|| shown(&folder))

@@ -64,6 +64,7 @@ pub(super) fn describe(
         training: TrainingSummary {
             command: command.to_owned(),
             seed: config.seed,
+            stiffness: dataset.stated_stiffness(),
             validation_loss: f64::MAX,
             seen: dataset.seen()?.into_iter().collect(),
             linear_fit: LinearFit::of(&dataset.train)?.map(|fit| fit.rows),

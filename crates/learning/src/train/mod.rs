@@ -1,6 +1,7 @@
 //! Fits a network to recorded trajectories.
 //!
-//! 1. `config`: all settings, with defaults for each architecture. `description`: the network they describe.
+//! 1. `config`: all settings, with defaults for each architecture. `description`: the network they describe. `data_warnings`: data that
+//!    does not fit them.
 //! 2. `window`: draws pieces of trajectories.
 //! 3. `loss_weights`: the weight of each particle's error.
 //! 4. `batch`: windows as tensors.
@@ -28,6 +29,7 @@ mod cuda_particle_tests;
 #[cfg(test)]
 #[cfg(feature = "cuda")]
 mod cuda_tests;
+mod data_warnings;
 pub mod dense;
 mod density;
 mod description;
@@ -64,6 +66,7 @@ pub use config::{
     LossConfig, LossKind, NetworkConfig, NoiseConfig, Observed, OptimizerConfig, OptimizerKind,
     Schedule, TrainConfig, UnrollStage, ValidationConfig, WindowConfig,
 };
+pub use data_warnings::data_warnings;
 pub use error::TrainError;
 pub use monitor::{Epoch, METRICS_FILE};
 pub use recipes::Recipe;

@@ -18,11 +18,11 @@ pub enum Rejection {
     #[error(transparent)]
     Model(#[from] ModelError),
     /// It is a duplicate, or arrived after a later frame.
-    #[error("stream {stream}: sequence: found {found}, expected at least {expected}")]
-    Late { stream: u64, found: u64, expected: u64 },
+    #[error("sequence: found {found}, expected at least {expected}")]
+    Late { found: u64, expected: u64 },
     /// The stream is in a free run.
-    #[error("stream {stream}: frame {found} ignored during a free run")]
-    FreeRunning { stream: u64, found: u64 },
+    #[error("frame {found} ignored during a free run")]
+    FreeRunning { found: u64 },
 }
 
 /// Counts since the node started.
@@ -81,27 +81,30 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Counts a rejected frame.
-    pub fn reject(&mut self, rejection: &Rejection) {
-        let counter = match rejection {
-            Rejection::Bad(BadFrame::Cdr(_)) => &mut self.undecodable,
+    /// Counts a rejected frame. Returns the name of the counter.
+    pub fn reject(&mut self, rejection: &Rejection) -> &'static str {
+        let (counter, name) = match rejection {
+            Rejection::Bad(BadFrame::Cdr(_)) => (&mut self.undecodable, "undecodable"),
             Rejection::Bad(BadFrame::Invalid(InvalidFrame::NotFinite { .. })) => {
-                &mut self.not_finite
+                (&mut self.not_finite, "not_finite")
             }
             Rejection::Bad(BadFrame::Invalid(InvalidFrame::Interval { .. }))
-            | Rejection::Model(ModelError::Interval { .. }) => &mut self.wrong_interval,
-            Rejection::Bad(BadFrame::Invalid(_)) => &mut self.malformed,
+            | Rejection::Model(ModelError::Interval { .. }) => {
+                (&mut self.wrong_interval, "wrong_interval")
+            }
+            Rejection::Bad(BadFrame::Invalid(_)) => (&mut self.malformed, "malformed"),
             Rejection::Model(ModelError::Implausible(InvalidFrame::Outside { .. })) => {
-                &mut self.outside_domain
+                (&mut self.outside_domain, "outside_domain")
             }
             Rejection::Model(ModelError::Implausible(_) | ModelError::Fast { .. }) => {
-                &mut self.too_fast
+                (&mut self.too_fast, "too_fast")
             }
-            Rejection::Model(_) => &mut self.wrong_particles,
-            Rejection::Late { .. } => &mut self.late,
-            Rejection::FreeRunning { .. } => &mut self.ignored_in_free_run,
+            Rejection::Model(_) => (&mut self.wrong_particles, "wrong_particles"),
+            Rejection::Late { .. } => (&mut self.late, "late"),
+            Rejection::FreeRunning { .. } => (&mut self.ignored_in_free_run, "ignored_in_free_run"),
         };
         *counter += 1;
+        name
     }
 
     /// Every counter with its name, in the order of the fields.

@@ -13,9 +13,11 @@ use std::{
 };
 
 use super::{
-    Arrival, CloudTopic, Counters, FrameQueue, GroupMember, InvalidSettings, LifecycleTransition,
-    NodeHandle, Observer, Prediction, Rejection, RosTime, SurrogateNode, diagnostics::Monitor,
+    Arrival, CloudTopic, FrameQueue, GroupMember, InvalidSettings, LifecycleTransition, NodeHandle,
+    NodeReport, Observer, Prediction, Rejected, Rejection, RosTime, SurrogateNode,
+    diagnostics::Monitor,
     group::Epoch,
+    load::{Load, Warnings},
 };
 use eddy_frames::clock::{self, Clock};
 use eddy_inference::engine::ModelError;
@@ -32,10 +34,8 @@ const MAX_WAIT: Duration = Duration::from_millis(100);
 const MAX_SIMULATED_WAIT: Duration = Duration::from_millis(2);
 /// After the stop flag: how long messages that had already arrived are received, and predicted from.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
-/// Without a frame for this long after the start, a warning is logged.
-const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Minimum interval between warnings about dropped frames, and about an output.
-const DROP_WARNING_INTERVAL: Duration = Duration::from_secs(10);
+/// Minimum interval between warnings about an output.
+const FAILURE_INTERVAL: Duration = Duration::from_secs(10);
 const DIAGNOSTICS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The topics of one output link of a node.
@@ -247,68 +247,6 @@ struct Running<'a> {
     reported: Duration,
 }
 
-/// Warnings to the user, limited in number.
-#[derive(Default)]
-struct Warnings {
-    silence: bool,
-    /// When the node began to wait for frames.
-    waiting_since: Duration,
-    /// Time of the last warning about dropped frames, and their number then.
-    dropped: Option<(Duration, u64)>,
-}
-
-/// What the node has had to do.
-#[derive(Clone, Copy, Default)]
-struct Load {
-    /// Frames since the start that reached the model.
-    received: u64,
-    /// Frames since the start that were dropped before.
-    dropped: u64,
-    /// Frames between the last two reports that reached the model, and those that arrived.
-    frames: u64,
-    arrived: u64,
-    /// Time that the model took for them, and time between the reports.
-    busy: Duration,
-    interval: Duration,
-}
-
-impl Load {
-    /// The times of model and source for a frame, in words.
-    fn pace(&self) -> Option<String> {
-        let milliseconds = |time: Duration, frames: u64| {
-            (frames > 0).then(|| 1e3 * time.as_secs_f64() / frames as f64)
-        };
-        let model = milliseconds(self.busy, self.frames)?;
-        let source = milliseconds(self.interval, self.arrived)?;
-        Some(format!(" (model {model:.1} ms a frame, source {source:.1} ms)"))
-    }
-}
-
-impl Warnings {
-    fn check(&mut self, now: Duration, input: &Link, load: &Load) {
-        let Load { received, dropped, .. } = *load;
-        let waiting = now.saturating_sub(self.waiting_since);
-        if received == 0 && waiting > SILENCE_TIMEOUT && !self.silence {
-            self.silence = true;
-            tracing::warn!(
-                "no frames received for {} s on {input}; check topic and transport with `eddy topic list --from zenoh,shm,dds --wait 5`",
-                SILENCE_TIMEOUT.as_secs()
-            );
-        }
-        let (warned, before) = self.dropped.unwrap_or_default();
-        let is_due = self.dropped.is_none() || now - warned > DROP_WARNING_INTERVAL;
-        if dropped > before && is_due {
-            tracing::warn!(
-                "dropped {} frames: input is faster than the model{}; publish more slowly, use fewer particles or more \
-                 --threads, or use --reliability block, which makes the source wait",
-                dropped - before,
-                load.pace().unwrap_or_default()
-            );
-            self.dropped = Some((now, dropped));
-        }
-    }
-}
-
 /// The publishing side of a running node.
 struct Output<'a> {
     outputs: &'a mut [Outputs],
@@ -326,7 +264,7 @@ struct Output<'a> {
     failures: Failures,
 }
 
-/// Failures of outputs; the same failure is logged once in [`DROP_WARNING_INTERVAL`].
+/// Failures of outputs; the same failure is logged once in [`FAILURE_INTERVAL`].
 #[derive(Default)]
 struct Failures(BTreeMap<String, Duration>);
 
@@ -334,10 +272,10 @@ impl Failures {
     fn log(&mut self, now: Duration, outcome: Result<(), TransportError>) {
         let Err(error) = outcome else { return };
         let message = error.to_string();
-        if self.0.get(&message).is_none_or(|logged| now - *logged > DROP_WARNING_INTERVAL) {
+        if self.0.get(&message).is_none_or(|logged| now - *logged > FAILURE_INTERVAL) {
             tracing::warn!("{message}");
             // Messages hardly differ; if they do, their number stays bounded.
-            self.0.retain(|_, logged| now - *logged <= DROP_WARNING_INTERVAL);
+            self.0.retain(|_, logged| now - *logged <= FAILURE_INTERVAL);
             self.0.insert(message, now);
         }
     }
@@ -356,10 +294,10 @@ impl Running<'_> {
         node.on_frames(batch, simulated, &mut |arrived, outcome| match outcome {
             Ok(prediction) => output.publish(&prediction, arrived),
             // Ignoring the input is the purpose of a free run.
-            Err(Rejection::FreeRunning { .. }) => {}
-            Err(rejection) => {
-                tracing::debug!("frame rejected: {rejection}");
-                output.monitor.rejected(rejection.to_string());
+            Err(Rejected { reason: Rejection::FreeRunning { .. }, .. }) => {}
+            Err(rejected) => {
+                tracing::debug!("frame rejected: {rejected}");
+                output.monitor.rejected(rejected.to_string());
             }
         });
         *busy += output.clock.now() - started;
@@ -486,6 +424,7 @@ impl Running<'_> {
         let Self { node, queue, output, context, .. } = self;
         let (streams, is_active) = (node.streams(), node.is_active());
         let idle = node.lifecycle().filter(|_| !is_active);
+        let (horizon, threads) = (node.settings().horizon, node.threads());
         let limit = node.settings().max_expected_error;
         let counters = node.counters_mut();
         counters.published = output.published;
@@ -505,13 +444,17 @@ impl Running<'_> {
             arrived: received + dropped - last.received - last.dropped,
             busy: std::mem::take(&mut self.busy),
             interval: now - self.reported,
+            horizon,
+            streams,
+            threads,
         };
-        self.reported = now;
+        let since = std::mem::replace(&mut self.reported, now);
         match idle {
             Some(state) => output.monitor.idle(state.label()),
             None => self.warnings.check(now, &context.input, &self.load),
         }
-        output.report(context, counters, streams, limit);
+        node.log_rejections(now);
+        output.report(context, node, since, limit);
     }
 }
 
@@ -566,14 +509,21 @@ impl Output<'_> {
     fn report(
         &mut self,
         context: &NodeContext,
-        counters: &Counters,
-        streams: usize,
+        node: &SurrogateNode,
+        since: Duration,
         max_expected_error: Option<f64>,
     ) {
         let now = self.clock.now();
-        let rates = self.monitor.rates(now);
+        let counters = node.counters();
+        let report = NodeReport {
+            rates: self.monitor.rates(now),
+            counters,
+            streams: node.streams(),
+            rejected: node.rejections().last_since(since),
+            warnings: node.warnings(),
+        };
         for observer in self.outputs.iter_mut().flat_map(|output| &mut output.observers) {
-            observer.reported(&rates, counters, streams);
+            observer.reported(&report);
         }
         // Names in diagnostics have no leading slash.
         let name = context.name.trim_start_matches('/');

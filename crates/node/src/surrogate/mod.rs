@@ -2,7 +2,7 @@
 //!
 //! 1. [`parameter`]: what a setting may be. [`settings`]: the table of all settings; `options` (feature `clap`): the
 //!    same as command-line options.
-//! 2. [`counters`]: frames that were rejected, and why; losses.
+//! 2. [`counters`]: frames that were rejected, and why; losses. [`rejections`]: when that is said.
 //! 3. `stream`: what the node keeps of one stream: hidden state, sequence, warm-up, free run.
 //! 4. `step`: what a frame does to its own stream, in parallel with other streams.
 //! 5. [`node`]: which frames are used and what they do to the set of streams.
@@ -13,7 +13,7 @@
 //!    services.
 //! 9. [`group`]: nodes that share streams.
 //! 10. [`time`]: system time or `/clock`.
-//! 11. [`driver`]: the loop that receives, predicts and publishes.
+//! 11. [`driver`]: the loop that receives, predicts and publishes. `load`: whether it keeps up.
 //! 12. [`links`]: input and outputs. [`publishers`]: the topics that belong to them. [`live`]: a node with all of them open.
 
 mod cloud;
@@ -25,6 +25,7 @@ mod handle;
 mod lifecycle;
 mod links;
 mod live;
+mod load;
 mod node;
 mod observer;
 #[cfg(feature = "clap")]
@@ -32,6 +33,7 @@ mod options;
 mod parameter;
 mod publishers;
 mod queue;
+mod rejections;
 mod services;
 mod settings;
 mod step;
@@ -50,11 +52,12 @@ pub use lifecycle::{LifecycleState, LifecycleTransition, TRANSITIONS};
 pub use links::{InvalidLinks, NodeLinks};
 pub use live::{LiveNode, OpenError};
 pub use node::{Arrival, OutputCallback, SurrogateNode};
-pub use observer::Observer;
+pub use observer::{NodeReport, Observer};
 #[cfg(feature = "clap")]
 pub use options::{NodeOptions, PredictOptions};
 pub use parameter::Values;
 pub use queue::FrameQueue;
+pub use rejections::{Rejected, RejectionLog};
 pub use services::{lifecycle_services, node_services};
 pub use settings::{InvalidSettings, NodeSettings, PARAMETERS, ParameterSpec, Publish, parameter};
 pub use step::Prediction;

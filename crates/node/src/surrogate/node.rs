@@ -11,13 +11,13 @@ use std::{
 
 use super::{
     Counters, InvalidSettings, LifecycleState, LifecycleTransition, NodeSettings, Prediction,
-    Rejection,
+    Rejected, Rejection, RejectionLog,
     step::{FAR, HorizonBuffers, Step, interval},
     stream::{Order, StreamState, expected_error},
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_inference::{
-    engine::{ModelError, StepRequest, Stepper, Surrogate},
+    engine::{ModelError, Stated, StepRequest, Stepper, Surrogate},
     error_model::ErrorTracker,
 };
 use eddy_messages::{StreamState as Phase, lifecycle::Transition, services::Parameter};
@@ -27,8 +27,8 @@ use eddy_transport::Payload;
 pub type Arrival = (Duration, Payload);
 
 /// Receives each prediction to publish, in the order of the predicted instants, and each rejected frame, with the
-/// arrival time of the frame that caused it. Rejections are already counted.
-pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejection>) + 'a;
+/// arrival time of the frame that caused it. Rejections are already counted, and logged.
+pub type OutputCallback<'a> = dyn FnMut(Duration, Result<Prediction<'_>, Rejected>) + 'a;
 
 /// Maximum number of streams stepped at once: as many as a GPU takes; a processor has one a thread.
 const MAX_BATCH: usize = 64;
@@ -38,6 +38,8 @@ const MAX_CATCH_UP: u32 = 16;
 
 /// Streams of which it is remembered that the model's warnings were logged.
 const MAX_WARNED: usize = 4096;
+/// Warnings that are kept for observers.
+const MAX_WARNINGS: usize = 64;
 
 /// A surrogate with the state of every stream that it observes.
 ///
@@ -56,8 +58,13 @@ pub struct SurrogateNode {
     /// Incremented at every use of a stream: eviction must not depend on time.
     uses: u64,
     counters: Counters,
+    rejections: RejectionLog,
+    /// What the source of the streams states.
+    stated: Stated,
     /// Streams whose warnings were logged: once each, however often they restart.
     warned: BTreeSet<u64>,
+    /// The last of these warnings, with their streams.
+    warnings: Vec<(u64, String)>,
     /// See [`SurrogateNode::stop_with`].
     stop: Arc<AtomicBool>,
     /// State of a managed node; others are always active.
@@ -108,7 +115,10 @@ impl SurrogateNode {
             simulated: None,
             uses: 0,
             counters: Counters::default(),
+            rejections: RejectionLog::default(),
+            stated: Stated::default(),
             warned: BTreeSet::new(),
+            warnings: Vec::new(),
             stop: Arc::default(),
             lifecycle: None,
             transitions: Vec::new(),
@@ -177,6 +187,26 @@ impl SurrogateNode {
         &mut self.counters
     }
 
+    /// What the source of the streams states about those that begin from now on, to be compared with the model.
+    pub fn streams_state(&mut self, stated: Stated) {
+        self.stated = stated;
+    }
+
+    /// How streams differ from what the model was trained on, as logged: the stream and a sentence.
+    pub fn warnings(&self) -> &[(u64, String)] {
+        &self.warnings
+    }
+
+    /// The rejected frames, but for those ignored during a free run.
+    pub fn rejections(&self) -> &RejectionLog {
+        &self.rejections
+    }
+
+    /// Logs rejections that have gone on for a while; `now` is a time of arrival.
+    pub fn log_rejections(&mut self, now: Duration) {
+        self.rejections.overdue(now).iter().for_each(|sentence| tracing::warn!("{sentence}"));
+    }
+
     /// Number of streams kept.
     pub fn streams(&self) -> usize {
         self.streams.len()
@@ -238,6 +268,11 @@ impl SurrogateNode {
         self.stepper.streams().min(MAX_BATCH)
     }
 
+    /// Threads that step one stream each; `None` on a GPU, which steps all at once.
+    pub(super) fn threads(&self) -> Option<usize> {
+        (!self.stepper.is_on_device()).then(|| self.stepper.streams())
+    }
+
     /// Observes frames in order, if the node is active. Frames of different streams are stepped in parallel, with bit-identical predictions.
     /// Free runs start at `simulated`, the time of a node that follows `/clock`, otherwise at the arrival of the last
     /// observed frame.
@@ -254,14 +289,15 @@ impl SurrogateNode {
         let mut batch = std::mem::take(&mut self.batch);
         for (arrived, payload) in &mut *arrivals {
             self.counters.received += 1;
+            let stream = payload.stream();
             if let Err(bad) = payload.decode() {
-                self.reject(*arrived, bad.into(), output);
+                self.reject(*arrived, Rejected { stream, reason: bad.into() }, output);
             }
         }
         for (index, (arrived, payload)) in arrivals.iter().enumerate() {
             let Some(frame) = payload.view() else { continue };
-            if let Err(rejection) = self.schedule(index, &frame, arrivals, &mut batch, output) {
-                self.reject(*arrived, rejection, output);
+            if let Err(reason) = self.schedule(index, &frame, arrivals, &mut batch, output) {
+                self.reject(*arrived, Rejected { stream: Some(frame.stream), reason }, output);
             }
         }
         self.step(arrivals, &mut batch, output);
@@ -351,7 +387,7 @@ impl SurrogateNode {
                     None
                 }
                 _ if state.free_run_due.is_some() => {
-                    return Err(Rejection::FreeRunning { stream, found: frame.sequence });
+                    return Err(Rejection::FreeRunning { found: frame.sequence });
                 }
                 Order::Next { gap } if gap <= settings.max_gap => {
                     counters.filled += gap;
@@ -368,7 +404,7 @@ impl SurrogateNode {
                 }
                 Order::Late => {
                     let (found, expected) = (frame.sequence, state.sequence + 1);
-                    return Err(Rejection::Late { stream, found, expected });
+                    return Err(Rejection::Late { found, expected });
                 }
             },
         };
@@ -392,11 +428,17 @@ impl SurrogateNode {
             self.warned.clear();
         }
         let is_new = self.warned.insert(frame.stream);
-        for warning in self.surrogate.warnings(frame) {
-            match is_new {
-                true => tracing::warn!("stream {}: {warning}", frame.stream),
-                false => tracing::debug!("stream {}: {warning}", frame.stream),
+        let stated = Stated { stiffness: stiffness.or(self.stated.stiffness), ..self.stated };
+        for warning in self.surrogate.warnings(frame, stated) {
+            if !is_new {
+                tracing::debug!("stream {}: {warning}", frame.stream);
+                continue;
             }
+            tracing::warn!("stream {}: {warning}", frame.stream);
+            if self.warnings.len() >= MAX_WARNINGS {
+                self.warnings.remove(0);
+            }
+            self.warnings.push((frame.stream, warning.to_string()));
         }
         let error_tracker = self.surrogate.error_model().map(|_| {
             ErrorTracker::new(self.surrogate.description(), &frame.domain, &frame.material)
@@ -506,9 +548,15 @@ impl SurrogateNode {
         }
     }
 
-    fn reject(&mut self, arrived: Duration, rejection: Rejection, output: &mut OutputCallback<'_>) {
-        self.counters.reject(&rejection);
-        output(arrived, Err(rejection));
+    fn reject(&mut self, arrived: Duration, rejected: Rejected, output: &mut OutputCallback<'_>) {
+        let counter = self.counters.reject(&rejected.reason);
+        // Ignoring the input is the purpose of a free run.
+        if !matches!(rejected.reason, Rejection::FreeRunning { .. })
+            && let Some(sentence) = self.rejections.add(arrived, counter, &rejected)
+        {
+            tracing::warn!("{sentence}");
+        }
+        output(arrived, Err(rejected));
     }
 
     fn diverge(&mut self, stream: u64) {

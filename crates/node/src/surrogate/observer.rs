@@ -12,6 +12,21 @@ pub trait Observer: Send {
     /// A prediction was published.
     fn predicted(&mut self, prediction: &Prediction<'_>);
 
-    /// Once a second: rate and latency of that second, all counters, and the number of streams.
-    fn reported(&mut self, rates: &Rates, counters: &Counters, streams: usize);
+    /// Once a second.
+    fn reported(&mut self, report: &NodeReport<'_>);
+}
+
+/// The state of a node.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeReport<'a> {
+    /// Rate and latency since the last report.
+    pub rates: Rates,
+    /// Counts since the node started.
+    pub counters: &'a Counters,
+    /// Number of streams that it keeps.
+    pub streams: usize,
+    /// Why frames were rejected since the last report: the last reason.
+    pub rejected: Option<&'a str>,
+    /// How streams differ from what the model was trained on: the stream and a sentence.
+    pub warnings: &'a [(u64, String)],
 }

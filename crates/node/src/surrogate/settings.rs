@@ -97,7 +97,7 @@ macro_rules! node_settings {
 
 node_settings! {
     horizon: u32 = 1, whole(1..=10_000, "frames"), CHANGEABLE,
-        "Frames to predict ahead of each observed frame";
+        "Frames to predict ahead of each observed frame; each costs as much as one";
     publish: Publish = Publish::Last, Values::Word(&Publish::WORDS), CHANGEABLE,
         "Which of the frames up to the horizon to publish";
     free_run: Option<u64> = None, whole(0..=i64::MAX, "frames"), CHANGEABLE,

@@ -79,7 +79,7 @@ fn observe(node: &mut SurrogateNode, messages: Vec<Payload>) -> Result<Vec<Frame
     let mut outcome = Ok(Vec::new());
     node.on_frames(&mut arrivals, None, &mut |_, result| match (result, &mut outcome) {
         (Ok(prediction), Ok(frames)) => frames.push(prediction.frame.clone()),
-        (Err(rejection), _) => outcome = Err(rejection),
+        (Err(rejected), _) => outcome = Err(rejected.reason),
         (Ok(_), Err(_)) => {}
     });
     outcome
@@ -306,7 +306,7 @@ fn duplicates_and_late_frames_are_dropped_and_change_nothing() {
     for late in [4, 2] {
         let rejection = observe(&mut node, vec![Payload::Frame(frame(1, late))]).unwrap_err();
         assert!(
-            matches!(rejection, Rejection::Late { stream: 1, found, expected: 5 } if found == late),
+            matches!(rejection, Rejection::Late { found, expected: 5 } if found == late),
             "{rejection}"
         );
     }

@@ -20,8 +20,6 @@ const MAX_WAIT: Duration = Duration::from_millis(50);
 const CURVES_INTERVAL: Duration = Duration::from_millis(200);
 /// Frames of one side without a counterpart after which the side is displayed alone.
 const MAX_UNPAIRED_FRAMES: u32 = 4;
-/// Frames, beyond its horizon, between a prediction and the truth beside which it is displayed.
-const MAX_SKEW_FRAMES: u64 = 4;
 /// Relative decay of the top speed per frame.
 const TOP_SPEED_DECAY: f32 = 0.002;
 /// Speeds are encoded up to at most [`MAX_TOP_SPEED`] times this percentile: a few outliers would otherwise leave no levels for
@@ -40,6 +38,8 @@ struct StreamView {
     unobserved: u32,
     /// Observed frames since the last prediction.
     unpredicted: u32,
+    /// Observed frames since the last one that was displayed with its prediction.
+    unpaired: u32,
     top_speed: f32,
     /// Time of the last update of the curves.
     curves_updated: Duration,
@@ -85,26 +85,30 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
 
 impl StreamView {
     fn new(comparison: Comparison, now: Duration) -> Self {
-        let (unobserved, unpredicted) = (0, 0);
+        let (unobserved, unpredicted, unpaired) = (0, 0, MAX_UNPAIRED_FRAMES);
         let (predicted, top_speed) = (None, 0.0);
         Self {
             comparison,
             predicted,
             unobserved,
             unpredicted,
+            unpaired,
             top_speed,
             curves_updated: now,
             used: now,
         }
     }
 
-    /// Displays an observed frame with its prediction; nothing yet if a free run is about to reach it.
+    /// Displays an observed frame with its prediction, which is of the same instant; nothing yet if a free run is about to reach it, and
+    /// nothing where few predictions are missing between others.
     fn truth(&mut self, frame: Arc<Frame>) -> Option<DisplayedFrame> {
         self.unobserved = 0;
         self.unpredicted = self.unpredicted.saturating_add(1);
         if let Some(pair) = self.comparison.truth(Arc::clone(&frame)) {
+            self.unpaired = 0;
             return Some(displayed(pair));
         }
+        self.unpaired = self.unpaired.saturating_add(1);
         let newest = self.predicted.as_ref().filter(|(newest, _)| newest.len() == frame.len());
         let behind = |(newest, info): &&(Arc<Frame>, PredictionInfo)| {
             info.free_running && newest.sequence < frame.sequence
@@ -112,12 +116,8 @@ impl StreamView {
         if newest.filter(behind).is_some() && self.unpredicted <= MAX_UNPAIRED_FRAMES {
             return None;
         }
-        let near = |(newest, info): &&(Arc<Frame>, PredictionInfo)| {
-            newest.sequence.abs_diff(frame.sequence) <= MAX_SKEW_FRAMES + u64::from(info.horizon)
-                && newest.sequence.saturating_add(MAX_SKEW_FRAMES) >= frame.sequence
-        };
-        let prediction = newest.filter(near).cloned();
-        Some(DisplayedFrame { truth: Some(frame), prediction, ..DisplayedFrame::default() })
+        (self.unpaired > MAX_UNPAIRED_FRAMES)
+            .then(|| DisplayedFrame { truth: Some(frame), ..DisplayedFrame::default() })
     }
 
     /// Displays a prediction with its truth if that has arrived, or alone if no truth is expected.
@@ -126,6 +126,7 @@ impl StreamView {
         self.unobserved = self.unobserved.saturating_add(1);
         let first = self.predicted.replace((Arc::clone(&frame), info)).is_none();
         if let Some(pair) = self.comparison.prediction(Arc::clone(&frame), info) {
+            self.unpaired = 0;
             return Some(displayed(pair));
         }
         let truth = self.comparison.last_truth().cloned();
@@ -202,8 +203,28 @@ mod tests {
             // A node publishes its predictions before it passes on the observed frame.
             let info = PredictionInfo { source: sequence, horizon: 1, free_running: false };
             assert_eq!(sides(view.prediction(frame(sequence + 1), info)), None);
-            let both = [Some(sequence), Some(sequence.max(1))];
+            let both = [Some(sequence), (sequence > 0).then_some(sequence)];
             assert_eq!(sides(view.truth(frame(sequence))), Some(both));
+        }
+    }
+
+    #[test]
+    fn both_sides_are_of_one_instant_however_far_ahead_and_single_losses_do_not_flicker() {
+        const HORIZON: u64 = 20;
+        let mut view = view();
+        for sequence in 0..60 {
+            let lost = sequence == 50;
+            let ahead =
+                PredictionInfo { source: sequence, horizon: HORIZON as u32, free_running: false };
+            if sequence + HORIZON != 50 {
+                assert_eq!(sides(view.prediction(frame(sequence + HORIZON), ahead)), None);
+            }
+            let expected = match sequence {
+                _ if lost => None,
+                HORIZON.. => Some([Some(sequence); 2]),
+                _ => Some([Some(sequence), None]),
+            };
+            assert_eq!(sides(view.truth(frame(sequence))), expected, "{sequence}");
         }
     }
 

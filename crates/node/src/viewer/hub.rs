@@ -49,6 +49,10 @@ pub struct NodeStatus {
     pub group: Option<GroupCounts>,
     /// All counters by name.
     pub counters: Vec<(&'static str, u64)>,
+    /// Why frames are being rejected: the last reason.
+    pub rejected: Option<String>,
+    /// How streams differ from what the model was trained on: the stream and a sentence.
+    pub warnings: Vec<(u64, String)>,
 }
 
 /// Connects one source of frames to browsers. Without a browser, a frame costs the source the increment of a counter and
@@ -74,6 +78,8 @@ struct HubState {
     current: Option<u64>,
     status: Option<NodeStatus>,
     curves: BTreeMap<u64, Arc<Curves>>,
+    /// Names of streams, if they have some.
+    names: BTreeMap<u64, String>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -146,6 +152,19 @@ impl Hub {
     /// Passes on the state of the node.
     pub fn report(&self, status: NodeStatus) {
         self.lock().status = Some(status);
+    }
+
+    /// Gives a stream a name. Those of streams that have ended are forgotten.
+    pub fn begins(&self, stream: u64, name: String) {
+        let mut state = self.lock();
+        let HubState { names, streams, .. } = &mut *state;
+        names.retain(|stream, _| streams.get(stream).is_none_or(|seen| !seen.ended));
+        names.insert(stream, name);
+    }
+
+    /// The name of a stream.
+    pub(super) fn name(&self, stream: u64) -> Option<String> {
+        self.lock().names.get(&stream).cloned()
     }
 
     /// Ends a stream: the next one becomes the current one.
@@ -333,6 +352,19 @@ mod tests {
         observe(4);
         assert_eq!(copied(), None);
         assert_eq!(hub.curves(&other).0, Some(5));
+    }
+
+    #[test]
+    fn a_stream_has_its_name_until_another_begins_after_its_end() {
+        let hub = Hub::default();
+        let _browser = hub.join(1).unwrap();
+        for stream in [4, 5] {
+            hub.begins(stream, format!("scene {stream}"));
+            hub.observed(&(&frame(stream)).into());
+            assert_eq!(hub.name(stream), Some(format!("scene {stream}")));
+            hub.ended(stream);
+        }
+        assert_eq!(hub.name(4), None);
     }
 
     #[test]

@@ -7,8 +7,8 @@ use super::{
     Viewer, ViewerError,
 };
 use crate::{
-    CommandOutcome, Counters, NodeHandle, NodeRequest, NodeResponse, NodeSettings, Observer,
-    PlayerCommand, PlayerHandle, Prediction, Publish, diagnostics::Rates,
+    CommandOutcome, NodeHandle, NodeReport, NodeRequest, NodeResponse, NodeSettings, Observer,
+    PlayerCommand, PlayerHandle, Prediction, Publish,
 };
 use eddy_frames::FrameView;
 use eddy_inference::checkpoint::Description;
@@ -84,7 +84,8 @@ impl Observer for HubObserver {
         self.0.predicted(prediction.frame, info);
     }
 
-    fn reported(&mut self, rates: &Rates, counters: &Counters, streams: usize) {
+    fn reported(&mut self, report: &NodeReport<'_>) {
+        let &NodeReport { rates, counters, streams, rejected, warnings } = report;
         self.0.report(NodeStatus {
             rate: rates.rate,
             latency: [rates.latency_p50, rates.latency_p99],
@@ -92,6 +93,8 @@ impl Observer for HubObserver {
             lost: counters.frames_lost(),
             group: counters.group,
             counters: counters.named().to_vec(),
+            rejected: rejected.map(str::to_owned),
+            warnings: warnings.to_vec(),
         });
     }
 }

@@ -91,7 +91,7 @@ pub(super) fn metrics(hub: &Hub, mailbox: &Mailbox, state: &ControlState, sent: 
     json!({
         "type": "metrics",
         "state": state,
-        "node": hub.node_status().map(|status| node_metrics(&status)),
+        "node": hub.node_status().map(|status| node_metrics(&status, stream)),
         "observed": observed,
         "predicted": predicted,
         "page": {
@@ -102,6 +102,7 @@ pub(super) fn metrics(hub: &Hub, mailbox: &Mailbox, state: &ControlState, sent: 
             "skipped": hub.skipped(),
         },
         "streams": streams,
+        "name": stream.and_then(|stream| hub.name(stream)),
         "stream": stream.map(|stream| stream.to_string()),
         "following": mailbox.stream().is_none(),
         "skill": curves.as_ref().and_then(|curves| curves.now).map(|now| skill(&now)),
@@ -110,7 +111,10 @@ pub(super) fn metrics(hub: &Hub, mailbox: &Mailbox, state: &ControlState, sent: 
     .to_string()
 }
 
-fn node_metrics(status: &NodeStatus) -> Value {
+/// The state of a node, with the warnings about the shown stream.
+fn node_metrics(status: &NodeStatus, shown: Option<u64>) -> Value {
+    let warnings = status.warnings.iter().filter(|(stream, _)| Some(*stream) == shown);
+    let warnings: Vec<&str> = warnings.map(|(_, warning)| &**warning).collect();
     let counters: Vec<Value> =
         status.counters.iter().map(|(name, count)| json!([name, count])).collect();
     json!({
@@ -119,12 +123,20 @@ fn node_metrics(status: &NodeStatus) -> Value {
         "streams": status.streams,
         "lost": status.lost,
         "counters": counters,
+        "rejected": status.rejected,
+        "warnings": warnings,
     })
 }
 
 fn skill(now: &Summary) -> Value {
     let baseline = now.baseline.map(|(best, _)| best.name());
-    json!({ "horizon": now.horizon, "value": now.skill(), "baseline": baseline })
+    json!({
+        "horizon": now.horizon,
+        "value": now.skill(),
+        "error": now.error,
+        "baseline": baseline,
+        "baseline_error": now.baseline.map(|(_, error)| error),
+    })
 }
 
 /// `time`: rows of time, model, baseline. `horizon`: rows of horizon, model, baseline. Errors in domain lengths.

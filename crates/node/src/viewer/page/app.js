@@ -103,7 +103,6 @@ function start(hello) {
   const restarted = now.hello && now.hello.instance !== hello.instance;
   now.hello = hello;
   now.available = new Set(hello.controls);
-  $("title").textContent = hello.title;
   document.title = `eddy ${hello.command}`;
   for (const name of ["pause", "step", "reset", "publish_all", "free_run"]) $(name).hidden = !now.available.has(name);
   $("back").hidden = $("forward").hidden = !now.available.has("skip");
@@ -227,7 +226,7 @@ function caption() {
   const frames = horizon === 1 ? "frame" : "frames";
   const info = horizon ? `, ${horizon} ${frames} ahead${freeRunning ? ", free run" : ""}` : "";
   $("truth").querySelector(".when").textContent = when(truth);
-  const predicted = prediction.present ? when(prediction) + info : now.hello?.model ? "warming up" : "no prediction";
+  const predicted = prediction.present ? when(prediction) + info : now.metrics?.node?.rejected ? "none: frames are rejected" : now.hello?.model ? "warming up" : "no prediction";
   $("prediction").querySelector(".when").textContent = predicted;
 }
 
@@ -282,7 +281,10 @@ function live() {
 // --- metrics and curves
 
 function show(metrics) {
+  const rejectedBefore = Boolean(now.metrics?.node?.rejected);
   now.metrics = metrics;
+  if (now.frame && rejectedBefore !== Boolean(metrics.node?.rejected)) caption();
+  $("title").textContent = metrics.name ? `${now.hello.title}: ${metrics.name}` : now.hello.title;
   now.curves = metrics.curves;
   showMetrics(metrics, now.hello, now.frame, now.drawn);
   $("renderer").textContent = painter ? `renderer: ${painter.renderer}` : failure;
@@ -421,7 +423,7 @@ const actions = {
     const { hello, metrics } = now;
     const [skill, of] = skillText(metrics?.skill);
     const lines = [`eddy ${hello.command}: ${hello.title}`];
-    if (skill && now.past === null) lines.push(`${of}: ${skill}`);
+    if (metrics?.skill && now.past === null) lines.push(`${of}: ${skill}`);
     draw();
     const picture = compose($("stage"), $("particles"), lines,
       (pen, left, y, ink) => legend.draw(pen, left, y, hello.scale, dark, ink), { ...chart, paper });

@@ -53,18 +53,32 @@ export function show(metrics, hello, frame, drawn) {
   rows($("counters"), (node?.counters ?? []).map(([name, value]) => [name.replaceAll("_", " "), count(value)]));
   $("counters").parentElement.hidden = !node;
   const [number, words] = skillText(skill);
-  $("skill").hidden = !skill;
+  banners(node);
+  $("skill").hidden = !skill && !hello?.model;
   $("skill").querySelector("b").textContent = number;
   $("skill").querySelector("span").textContent = words;
 }
 
+/** What is said above the panels: why frames are rejected, and how the stream differs from the model's training. */
+export function banners(node) {
+  const rejected = node?.rejected ? `Frames are rejected, so nothing is predicted from them: ${node.rejected}` : "";
+  for (const [id, text] of [["rejected", rejected], ["differs", (node?.warnings ?? []).join(". ")]]) {
+    if ($(id).textContent !== text) $(id).textContent = text;
+    $(id).hidden = !text;
+  }
+}
+
+/** An error as text (domain lengths). */
+const distance = (error) => (error >= 1e-3 ? error.toFixed(4) : error.toExponential(1).replace("-", "−"));
+
 /** Skill as text: the number and its description. */
 export function skillText(skill) {
-  if (!skill) return ["", ""];
+  if (!skill) return ["", "no prediction can be compared yet"];
   // A bag without statuses does not say what its predictions were made from.
   if (skill.horizon === 0) return ["–", "skill: frames ahead unknown"];
   const ahead = `${skill.horizon} ${skill.horizon === 1 ? "frame" : "frames"} ahead`;
-  if (skill.value == null) return ["–", `skill ${ahead}: ${skill.baseline ? "at rest" : "no baseline"}`];
+  if (skill.value == null && skill.baseline) return ["at rest", `error ${ahead} ${distance(skill.error)}`];
+  if (skill.value == null) return ["–", `skill ${ahead}: no baseline; error ${distance(skill.error)}`];
   const value = Math.abs(skill.value) < 100 ? skill.value.toFixed(2) : skill.value.toFixed(0);
-  return [`${skill.value >= 0 ? "+" : ""}${value}`.replace("-", "−"), `skill ${ahead}, compared with ${skill.baseline}`];
+  return [`${skill.value >= 0 ? "+" : ""}${value}`.replace("-", "−"), `skill ${ahead}: error ${distance(skill.error)}, ${skill.baseline} ${distance(skill.baseline_error)}`];
 }
