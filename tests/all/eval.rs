@@ -347,7 +347,7 @@ fn data_that_a_checkpoint_was_not_made_for_is_refused_before_anything_is_predict
 
     for (checkpoint, words) in [
         (&slower, ["slower", "scene_0000", "dt: found 0.016 s, expected 0.02 s"]),
-        (&wider, ["wider", "scene_0000", "lower, upper: found [0.0, 0.0], [1.0, 1.0]"]),
+        (&wider, ["wider", "scene_0000", "lower, upper: found 0 to 1 x 0 to 1"]),
         (&barren, ["barren", "scene_0000", "expected one of liquid"]),
         (&few, ["few", "scene_0000", "particles: found 2500, expected 10"]),
     ] {

@@ -155,7 +155,7 @@ fn bags_that_do_not_belong_together_are_refused_by_what_differs() {
     let data = [folder.path().to_owned()];
     for memory in [u64::MAX, 1] {
         let message = load(&data, memory).unwrap_err().to_string();
-        says(&message, &["/b: stream 3: dt: found 0.008 s, expected 0.016 s"]);
+        says(&message, &["/b: stream 3, frame 0: dt: found 0.008 s, expected 0.016 s"]);
     }
 
     let mut smaller = stream(3);

@@ -3,7 +3,7 @@
 use std::fs;
 
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, FrameOutput};
-use eddy_learning::train::{LossKind, METRICS_FILE, TrainConfig, train};
+use eddy_learning::train::{LossKind, METRICS_FILE, NoiseConfig, TrainConfig, train};
 use eddy_settings::Overrides;
 
 use super::{FRAMES, Lines, dataset, interrupted, run, settings, small, stream};
@@ -103,10 +103,10 @@ fn a_loss_that_is_no_number_names_its_batch_and_keeps_the_best_and_the_last_chec
 }
 
 #[test]
-fn a_loss_that_overflows_ends_with_the_batch_named() {
+fn noise_that_overflows_ends_with_the_batch_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small(Architecture::Frame, Core::MinLstm);
-    config.loss.position_weight = f32::MAX;
+    config.windows.noise = NoiseConfig { position: 0.0, velocity: f32::MAX, share: 1.0 };
     let message = run(&config, &dataset(), folder.path()).unwrap_err().to_string();
     assert!(message.starts_with("epoch 1, batch "), "{message}");
     assert!(message.contains("expected a finite number"), "{message}");

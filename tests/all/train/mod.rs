@@ -39,7 +39,7 @@ const PARTICLES: usize = 24;
 pub fn stream(id: u64) -> Stream {
     let place = |i: usize, step: f32| (0.37 * (i as f32 + 1.0) + step * id as f32).fract();
     let mut position: Vec<[f32; 2]> =
-        (0..PARTICLES).map(|i| [0.2 + 0.6 * place(i, 0.11), 0.6 + 0.3 * place(i, 0.23)]).collect();
+        (0..PARTICLES).map(|i| [0.2 + 0.6 * place(i, 0.11), 0.8 + 0.2 * place(i, 0.23)]).collect();
     let mut velocity: Vec<[f32; 2]> =
         (0..PARTICLES).map(|i| [place(i, 0.31) - 0.5, place(i, 0.43) - 0.5]).collect();
     let material: Vec<_> = (0..PARTICLES)
