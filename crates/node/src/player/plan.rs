@@ -163,11 +163,14 @@ impl PlaybackPlan {
                 }
             } else if transport.is_of_ros() {
                 is_aside = true;
-                tracing::warn!(
-                    "topic {shown}: found {type_name} beside {} in the bag; both are published on {link}, subscribers \
-                     receive the one they ask for",
-                    other.support.name
-                );
+                // Versions of one type were named before.
+                if other.support.name != support.name {
+                    tracing::warn!(
+                        "topic {shown}: found {type_name} beside {} in the bag; both are published on {link}, \
+                         subscribers receive the one they ask for",
+                        other.support.name
+                    );
+                }
             } else {
                 is_aside = true;
                 let aside = link.with_topic(&aside(&link.topic, &type_name));
