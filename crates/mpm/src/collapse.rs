@@ -31,7 +31,7 @@ pub(super) fn check(
     let most = budget * (1.0 + GROWTH) + mass * LEAST_GROWTH;
     let total = energy.total();
     // Not finite is too much, too.
-    if !(total <= most) {
+    if total.is_nan() || total > most {
         return Err((fastest(particles), Collapse::Energy(total, most)));
     }
     crushed(particles)?;

@@ -316,7 +316,7 @@ impl Simulation {
     /// `error` if their number is fixed, or would be too large.
     fn refine(&mut self, factor: f64, error: MpmError) -> Result<(), MpmError> {
         let more = (f64::from(self.attempt) * factor.min(MAX_FACTOR)).ceil();
-        let is_last = self.refinements == MAX_REFINEMENTS || !(more <= f64::from(MAX_SUBSTEPS));
+        let is_last = self.refinements == MAX_REFINEMENTS || more > f64::from(MAX_SUBSTEPS);
         if error == MpmError::Cancelled || self.scene.solver.substeps.is_some() || is_last {
             return Err(error);
         }
