@@ -7,7 +7,7 @@ use tempfile::TempDir;
 use crate::{
     Context, Settings,
     dataset::{
-        LoadOptions, State, Stream, Trajectory, load_trajectories,
+        Bounds, LoadOptions, State, Stream, Trajectory, load_trajectories,
         simulate::{SimulationRequest, Source, simulate},
     },
 };

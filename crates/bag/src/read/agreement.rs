@@ -35,7 +35,7 @@ pub(super) fn disagreements(bag: &BagReader) -> Vec<String> {
 }
 
 /// The channels of each version of the type of a topic.
-fn versions_of<'c>(contents: &'c Contents, topic: usize) -> Vec<Vec<&'c Channel>> {
+fn versions_of(contents: &Contents, topic: usize) -> Vec<Vec<&Channel>> {
     let mut versions: Vec<Vec<&Channel>> = Vec::new();
     let channels = contents.distinct.iter().zip(&contents.topic_of);
     for (channel, _) in channels.filter(|(_, of)| **of == topic) {

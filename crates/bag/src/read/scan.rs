@@ -1,6 +1,9 @@
 //! Indexes a file by a scan of all its records: for files without a usable summary section.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    sync::Arc,
+};
 
 use mcap::{
     MAGIC,
@@ -42,8 +45,8 @@ impl FileIndex {
         let mut scan = Scan { summary, ..Scan::default() };
         let end = self.scan_to_end(&mut records, &mut scan, progress, &mut reported);
         for (&id, channel) in &scan.summary.channels {
-            if !self.declared.channels.contains_key(&id) {
-                self.declared.channels.insert(id, Arc::clone(channel));
+            if let Entry::Vacant(declared) = self.declared.channels.entry(id) {
+                declared.insert(Arc::clone(channel));
                 self.channels.insert(id.into(), Arc::clone(channel));
             }
         }
@@ -266,9 +269,9 @@ impl FileIndex {
 
     /// The channel that messages with an id belong to here; `None` if it is not declared.
     fn key_of(&mut self, id: u16, scan: &Scan) -> Option<ChannelKey> {
-        if !self.declared.channels.contains_key(&id) {
+        if let Entry::Vacant(declared) = self.declared.channels.entry(id) {
             let channel = scan.summary.channels.get(&id)?;
-            self.declared.channels.insert(id, Arc::clone(channel));
+            declared.insert(Arc::clone(channel));
             self.channels.insert(id.into(), Arc::clone(channel));
         }
         Some(scan.current.get(&id).copied().unwrap_or(id.into()))

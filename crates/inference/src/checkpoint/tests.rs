@@ -43,6 +43,7 @@ fn checkpoint() -> Checkpoint {
             samples: 4096,
             start: Some("fedcba9876543210".to_owned()),
             seen: ["0123456789abcdef".to_owned()].into_iter().collect(),
+            stiffness: None,
             linear_fit: Some([[0.5, -0.25, 0.125, 1.0, 2.0], [0.0, 0.1, 0.2, 0.3, -0.4]]),
         },
     };

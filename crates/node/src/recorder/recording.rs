@@ -148,7 +148,8 @@ fn write(
                 }
             }
             Some(Event::Failed(link, error)) => {
-                if discovery.note_ended(&link, &error) {
+                let ends_recording = discovery.note_ended(&link, &error);
+                if ends_recording {
                     failure = Some(RecordError::Transport(error));
                 }
             }

@@ -112,6 +112,8 @@ mod tests {
             lost: 4,
             group: Some(GroupCounts { members: 3, owned_streams: 33, foreign_streams: 67 }),
             counters: vec![("received", 5), ("too_fast", 6)],
+            rejected: None,
+            warnings: Vec::new(),
         });
         let text = render(&hub, &info);
         for line in [

@@ -96,7 +96,7 @@ fn a_paused_player_publishes_one_message_per_step_and_resumes_from_there() {
     assert_eq!(times(&player.execute(PlayerCommand::Next, at(50)).unwrap()), [0]);
     assert_eq!(times(&player.execute(PlayerCommand::Next, at(60)).unwrap()), [100]);
     assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(PAUSED_POLL));
-    assert_eq!(times(&player.execute(PlayerCommand::TogglePause, at(5_000)).unwrap()), []);
+    assert_eq!(times(&player.execute(PlayerCommand::TogglePause, at(5_000)).unwrap()), [0; 0]);
     assert_eq!(player.poll(at(5_000)).unwrap(), Due::In(at(100)));
     assert!(matches!(player.poll(at(5_100)).unwrap(), Due::Now(_)));
     let outcome = player.execute(PlayerCommand::Faster, at(5_100)).unwrap().outcome;
