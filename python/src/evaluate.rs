@@ -84,23 +84,23 @@ pub(crate) fn evaluate(
     let references = references.iter().map(reference).collect::<PyResult<Vec<_>>>()?;
     let checkpoints: Vec<PathBuf> = checkpoints.map(Paths::into).unwrap_or_default();
     let data: Vec<PathBuf> = data.into();
-    let skipped = Mutex::default();
+    let skipped = Mutex::new(Vec::new());
     let work = |watch: &interrupt::Watch<()>| -> Result<eddy_evaluation::Report, String> {
         let load = |path: &PathBuf| {
             let checkpoint = Checkpoint::load(path).map_err(|error| error.to_string())?;
             Ok::<_, String>((path.display().to_string(), checkpoint))
         };
-        let mut loaded = checkpoints.iter().map(load).collect::<Result<Vec<_>, _>>()?;
-        if loaded.is_empty() {
+        let mut models = checkpoints.iter().map(load).collect::<Result<Vec<_>, _>>()?;
+        if models.is_empty() {
             let shipped = Checkpoint::shipped().map_err(|error| error.to_string())?;
-            loaded.push(("shipped".to_owned(), shipped));
+            models.push(("shipped".to_owned(), shipped));
         }
         let options = LoadOptions { memory: available_memory() / 2, skip_streams };
         let loaded = load_trajectories(&data, options, &mut |_, _| ());
         let loaded = loaded.map_err(|error| error.to_string())?;
         *lock(&skipped) = loaded.skipped;
         let request = EvaluationRequest {
-            checkpoints: loaded,
+            checkpoints: models,
             recorded: Vec::new(),
             streams: loaded.streams,
             stiffness,

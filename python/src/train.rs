@@ -50,7 +50,7 @@ pub(crate) fn train_network<'py>(
     let device = device.resolve(config.runs_on_gpus());
     let precision: Precision = values::word("precision", precision)?;
     let data: Vec<PathBuf> = data.into();
-    let skipped = Mutex::default();
+    let skipped = Mutex::new(Vec::new());
     let work = |watch: &interrupt::Watch<Epoch>| -> Result<train::Outcome, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
         device.check().map_err(|error| text(&error))?;

@@ -200,7 +200,8 @@ fn frames_pass_among_those_who_show_certificate_and_password_and_nobody_else_get
 fn who_connects_asks_for_a_certificate_and_not_for_a_password() {
     let place = Place::new();
     let [nobody, player, guessing, strange, plain] = [(); 5].map(|()| free_port());
-    let listeners: [(&str, u16, &[(&str, &str)]); 3] = [
+    type Replacements = [(&'static str, &'static str)];
+    let listeners: [(&str, u16, &Replacements); 3] = [
         ("guessing", guessing, &[("change me", "guess")]),
         (
             "strange",

@@ -208,7 +208,10 @@ fn an_undamaged_stream_passes_every_door() {
     assert_eq!(of_node(&frames[0]), "");
     let options = LoadOptions::within(u64::MAX);
     assert_eq!(
-        load_trajectories(&[bag.clone()], options, &mut |_, _| ()).unwrap().streams.len(),
+        load_trajectories(std::slice::from_ref(&bag), options, &mut |_, _| ())
+            .unwrap()
+            .streams
+            .len(),
         1
     );
     let reader = BagReader::open(&bag).unwrap();
@@ -239,7 +242,7 @@ impl Data {
         self.join(name).to_str().unwrap().to_owned()
     }
 
-    fn train<'a>(&self, more: &[&'a str]) -> Vec<String> {
+    fn train(&self, more: &[&str]) -> Vec<String> {
         let (data, settings, output) =
             (self.path("data"), self.path("small.toml"), self.path("model"));
         let words = ["train", "--data", &data, "--config", &settings, "--epochs", "1"];

@@ -34,8 +34,10 @@ pub(super) fn run(
     // Definitions are found as for a recording.
     let opener =
         TopicOpener::new(transports.clone(), args.ament_prefix_path.clone(), QosOverrides::new());
-    let OpenTopic { support, mut subscriber, .. } =
+    let OpenTopic { topic, mut subscriber } =
         opener.open(topic).with_context(|| format!("cannot subscribe to {link}"))?;
+    // Messages wait in the queue of the subscriber.
+    let support = opener.type_of(&topic, interrupt.flag());
     let queue = FrameQueue::new(QUEUE_MESSAGES, Reliability::Drop);
     let stop = AtomicBool::new(false);
     thread::scope(|scope| {

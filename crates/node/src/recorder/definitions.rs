@@ -55,7 +55,7 @@ impl TopicOpener {
     ///
     /// # Errors
     /// [`TransportError`] when it cannot be subscribed to.
-    pub(super) fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
+    pub fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
         let requested = self.overrides.get(&topic.link.topic).copied();
         let support = topic.type_support();
         let subscriber =
@@ -65,7 +65,7 @@ impl TopicOpener {
 
     /// The type of a topic; without a definition, and with a warning, if none is found. Takes a few seconds if publishers do
     /// not answer, less once `stop` is raised.
-    pub(super) fn type_of(&self, topic: &SeenTopic, stop: &AtomicBool) -> TypeSupport {
+    pub fn type_of(&self, topic: &SeenTopic, stop: &AtomicBool) -> TypeSupport {
         let known = topic.type_support();
         let mut support = match known.schema.is_empty() {
             true => self.definitions.of(topic, &self.transports, stop),
