@@ -21,7 +21,7 @@ use eddy_settings::atomic;
 /// The file in a bag directory.
 pub(crate) const FILE_NAME: &str = "metadata.yaml";
 
-/// The version that is written (rosbag2 Jazzy and later), and the newest that is read.
+/// The version that is written (rosbag2 Jazzy and later), and the newest that is known.
 const VERSION: u32 = 9;
 
 #[derive(Serialize)]
@@ -181,7 +181,7 @@ fn read(path: &Path) -> Result<(ReadInformation, Description), BagError> {
         wrong(
             path,
             "rosbag2_bagfile_information",
-            error.to_string(),
+            qos::yaml_words(&error),
             "the fields that rosbag2 writes",
         )
     })?;
@@ -202,7 +202,11 @@ pub(crate) fn files(
 ) -> Result<(Vec<PathBuf>, Description), BagError> {
     let (information, description) = read(path)?;
     if information.version > VERSION {
-        return Err(wrong(path, "version", information.version.to_string(), "at most 9"));
+        tracing::warn!(
+            "{}: version: found {}, which is newer than {VERSION}; what is new in it is ignored",
+            path.display(),
+            information.version
+        );
     }
     let storage = information.storage_identifier.as_str();
     let are_mcap = || information.relative_file_paths.iter().all(|name| is_mcap(Path::new(name)));
@@ -357,7 +361,6 @@ mod tests {
     fn unusable_metadata_is_rejected_with_field_found_and_expected() {
         let good = text(&bag());
         let cases = [
-            ("version: 9", "version: 10", "version: found 10, expected at most 9"),
             (
                 "_identifier: mcap",
                 "_identifier: sqlite3",
@@ -374,6 +377,11 @@ mod tests {
                 "gone.mcap, which does not exist, expected names of files",
             ),
             ("message_count: 3", "message_count: many", "rosbag2_bagfile_information: found"),
+            (
+                "  version: 9",
+                "  version: 9\n  version: 8",
+                "found duplicate mapping key `version` is not allowed here at line 3, column 3, expected the fields",
+            ),
         ];
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(FILE_NAME);
@@ -389,5 +397,15 @@ mod tests {
             let message = files(&path, directory.path()).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
+    }
+
+    #[test]
+    fn a_newer_version_is_read_without_what_is_new_in_it() {
+        let directory = tempfile::tempdir().unwrap();
+        let (path, file) = (directory.path().join(FILE_NAME), directory.path().join("run_0.mcap"));
+        fs::write(&file, "").unwrap();
+        let newer = text(&bag()).replacen("version: 9", "version: 11\n  clock: {source: ros}", 1);
+        fs::write(&path, newer).unwrap();
+        assert_eq!(files(&path, directory.path()).unwrap().0, [file]);
     }
 }

@@ -127,6 +127,12 @@ impl YamlProfile {
     }
 }
 
+/// An error in YAML without advice on settings of the library, in one line.
+pub(super) fn yaml_words(error: &serde_saphyr::Error) -> String {
+    let text = error.without_snippet().render_with_formatter(&serde_saphyr::UserMessageFormatter);
+    text.lines().next().unwrap_or_default().to_owned()
+}
+
 /// The value of `offered_qos_profiles`.
 pub(crate) fn offered_profiles(offered: &[QosProfile]) -> String {
     let profiles: Vec<_> = offered.iter().map(YamlProfile::of).collect();
@@ -219,7 +225,7 @@ pub fn read_qos_overrides(path: &Path) -> Result<QosOverrides, BagError> {
     let text = fs::read_to_string(path).map_err(BagError::io(path, "reading the QoS profiles"))?;
     let overrides: BTreeMap<String, Override> = serde_saphyr::from_str(&text).map_err(|error| {
         let expected = "topics with QoS policies, such as `/scan: {reliability: best_effort}`";
-        wrong("topics", error.to_string(), expected)
+        wrong("topics", yaml_words(&error), expected)
     })?;
     let mut profiles = QosOverrides::new();
     for (topic, policies) in overrides {
