@@ -55,7 +55,7 @@ fn rosout_filter(ros: &RosNode) -> EnvFilter {
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let ros = ros_node(&cli.command);
-    let filter = EnvFilter::try_new(ros.log_filter(&cli.log_level))?;
+    let filter = EnvFilter::try_new(ros.console_filter(&cli.log_level))?;
     let lines = tracing_subscriber::fmt::layer()
         .with_writer(|| terminal::Log)
         .with_ansi(terminal::has_colors())

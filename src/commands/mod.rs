@@ -64,9 +64,9 @@ pub(crate) fn leave_the_process(transports: &[TransportKind]) -> anyhow::Result<
     transports.iter().map(link).try_for_each(|link| leaves_the_process(&link))
 }
 
-/// Rejects parameters given to this node: only `eddy node` has parameters.
+/// Rejects parameters given to this node, other than those of every node of ROS 2: only `eddy node` has parameters.
 pub(crate) fn has_no_parameters(ros: &RosNode) -> anyhow::Result<()> {
-    match ros.parameters().iter().find(|given| !given.for_all) {
+    match ros.parameters().iter().find(|given| !given.for_all && !given.is_of_every_node()) {
         Some(given) => bail!(
             "{}: found {}, expected none: this node has no parameters",
             given.argument,

@@ -27,7 +27,7 @@ use eddy_node::{CloudTopic, Outputs};
 use eddy_node::{
     InvalidSettings, LiveNode, NodeHandle, NodeLinks, NodeReport, NodeRequest, NodeResponse,
     NodeSettings, Observer, Prediction, SurrogateNode,
-    ros::{RosNode, Rosout, TopicQos},
+    ros::{ParameterOverride, RosNode, Rosout, TopicQos},
     viewer::{ControlPanel, LivePage, PageInfo},
 };
 use eddy_settings::{self as config, usage::Usage};
@@ -169,11 +169,13 @@ pub fn run(
     Ok(outcome?)
 }
 
-/// Sets the parameters of `--ros-args`, which take precedence, except those for the QoS of topics. Unknown parameters for
+/// Sets the parameters of `--ros-args`, which take precedence, except those for the QoS of topics and those without an effect. Unknown parameters for
 /// nodes of any name are ignored.
 fn set_parameters(settings: &mut NodeSettings, ros: &RosNode) -> anyhow::Result<()> {
-    let is_setting = |name: &str| !TopicQos::is_parameter(name);
-    for given in ros.parameters().iter().filter(|given| is_setting(&given.parameter.name)) {
+    let is_setting = |given: &&ParameterOverride| {
+        !TopicQos::is_parameter(&given.parameter.name) && !given.is_without_effect()
+    };
+    for given in ros.parameters().iter().filter(is_setting) {
         match settings.set(&given.parameter) {
             Ok(()) => {}
             Err(InvalidSettings::Unknown { found }) if given.for_all => {

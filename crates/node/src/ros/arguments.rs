@@ -7,12 +7,16 @@ use super::{
     parameters::{self, ParameterOverride},
     remap::{Rule, quoted},
 };
+use eddy_transport::is_absolute_name;
 
-/// The supported arguments.
-const KNOWN: &str = "-r/--remap, -p/--param, --params-file, --log-level or --disable-rosout-logs";
+/// The arguments of ROS 2 (`rcl/arguments.h`).
+const KNOWN: &str = "-r/--remap, -p/--param, --params-file, -e/--enclave, --log-level, --log-config-file, --log-file-name, or \
+                     --enable- or --disable- with stdout-logs, rosout-logs or external-lib-logs";
 
-/// Arguments without effect: eddy always logs to standard error, and its libraries log through it.
-const IGNORED: [&str; 2] = ["--enable-stdout-logs", "--disable-external-lib-logs"];
+/// Arguments without effect: eddy's libraries log through it.
+const IGNORED: [&str; 2] = ["--enable-external-lib-logs", "--disable-external-lib-logs"];
+/// Arguments with a value and without effect: eddy writes no log files.
+const IGNORED_WITH_VALUE: [&str; 2] = ["--log-config-file", "--log-file-name"];
 
 /// Log levels of ROS and their names here. Nothing is logged as `fatal`.
 const LEVELS: [(&str, &str); 5] =
@@ -27,6 +31,10 @@ pub struct RosArguments {
     levels: Vec<(Option<String>, &'static str)>,
     /// Whether the log is not published on `/rosout`.
     pub(super) is_without_rosout: bool,
+    /// Whether the log is not written to the terminal.
+    pub(super) is_without_console: bool,
+    /// Security enclave.
+    pub(super) enclave: Option<String>,
 }
 
 impl RosArguments {
@@ -54,6 +62,19 @@ impl RosArguments {
                 "--log-level" => arguments.levels.push(level(value("a level")?)?),
                 "--enable-rosout-logs" => arguments.is_without_rosout = false,
                 "--disable-rosout-logs" => arguments.is_without_rosout = true,
+                "--enable-stdout-logs" => arguments.is_without_console = false,
+                "--disable-stdout-logs" => arguments.is_without_console = true,
+                "-e" | "--enclave" => {
+                    let form = "the name of an enclave, for example /robots/arm";
+                    let name = value(form)?;
+                    if name != "/" && !is_absolute_name(name) {
+                        return Err(InvalidArgument::new(word, quoted(name), form));
+                    }
+                    arguments.enclave = Some(name.to_owned());
+                }
+                word if IGNORED_WITH_VALUE.contains(&word) => {
+                    value("a file")?;
+                }
                 // May be repeated.
                 "--ros-args" => {}
                 word if IGNORED.contains(&word) => {}
@@ -123,11 +144,32 @@ mod tests {
     }
 
     #[test]
+    fn every_argument_of_rcl_is_accepted() {
+        let all = "--log-config-file log.ini --log-file-name a --enable-stdout-logs --disable-external-lib-logs \
+                   --enable-external-lib-logs --enable-rosout-logs --log-level info -r a:=b -p c:=1";
+        parse(all).unwrap();
+        let node = |text| parse(text).unwrap().node("a");
+        assert_eq!(node("").console_filter("warn"), "warn");
+        assert_eq!(node("--disable-stdout-logs --log-level info").console_filter("warn"), "off");
+        let again = "--disable-stdout-logs --enable-stdout-logs";
+        assert_eq!(node(again).console_filter("warn"), "warn");
+        // Messages are still published.
+        assert_eq!(node("--disable-stdout-logs").log_filter("eddy=info"), "eddy=info");
+        let enclave = |text| node(text).transport_options().unwrap().enclave;
+        assert_eq!(enclave(""), "/");
+        assert_eq!(enclave("-e /a"), "/a");
+        assert_eq!(enclave("--enclave /a -e /robots/arm"), "/robots/arm");
+    }
+
+    #[test]
     fn invalid_arguments_are_named() {
         for (text, expected) in [
             ("-r", "-r: found no value, expected FROM:=TO"),
             ("-x", "--ros-args: found `-x`, expected -r/--remap, -p/--param, --params-file"),
-            ("--enclave /a", "--ros-args: found `--enclave`, expected"),
+            ("--enclave a", "--enclave: found `a`, expected the name of an enclave"),
+            ("-e", "-e: found no value, expected the name of an enclave"),
+            ("--log-config-file", "--log-config-file: found no value, expected a file"),
+            ("--disable-logs", "--ros-args: found `--disable-logs`, expected"),
             ("--log-level loud", "--log-level loud: found `loud`, expected debug, info, warn"),
             ("--log-level a=b:=info", "--log-level a=b:=info: found `a=b`, expected the name"),
             ("--params-file /no/file", "--params-file /no/file: found No such file"),

@@ -17,6 +17,9 @@ pub struct RosNode {
     parameters: Vec<ParameterOverride>,
     directives: String,
     has_rosout: bool,
+    has_console: bool,
+    /// `/` is none.
+    enclave: String,
 }
 
 /// A rule with absolute names.
@@ -39,8 +42,16 @@ impl RosNode {
         let name = first(name, Target::Node).unwrap_or(name.to_owned());
         let namespace = first(&name, Target::Namespace).unwrap_or("/".to_owned());
         let (renamed, parameters) = (Vec::new(), Vec::new());
-        let (directives, has_rosout) = (String::new(), !arguments.is_without_rosout);
-        let mut node = Self { name, namespace, renamed, parameters, directives, has_rosout };
+        let mut node = Self {
+            name,
+            namespace,
+            renamed,
+            parameters,
+            directives: String::new(),
+            has_rosout: !arguments.is_without_rosout,
+            has_console: !arguments.is_without_console,
+            enclave: arguments.enclave.clone().unwrap_or("/".to_owned()),
+        };
         let absolute = |rule: &Rule| match &rule.target {
             Target::Node | Target::Namespace => None,
             &Target::Name { ref from, topics, services } => {
@@ -81,13 +92,14 @@ impl RosNode {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.name)
     }
 
-    /// The options of its transports: the environment's, with its name and namespace.
+    /// The options of its transports: the environment's, with its name, namespace and enclave.
     ///
     /// # Errors
     /// [`TransportError::Environment`].
     pub fn transport_options(&self) -> Result<TransportOptions, TransportError> {
         let options = TransportOptions::from_env(&self.name)?;
-        Ok(TransportOptions { namespace: self.namespace.clone(), ..options })
+        let (namespace, enclave) = (self.namespace.clone(), self.enclave.clone());
+        Ok(TransportOptions { namespace, enclave, ..options })
     }
 
     /// The absolute name of a topic of this node, after remapping.
@@ -133,6 +145,11 @@ impl RosNode {
     /// Adds the log levels of the arguments to a filter such as `warn,zenoh=error`.
     pub fn log_filter(&self, filter: &str) -> String {
         format!("{filter}{}", self.directives)
+    }
+
+    /// The filter of what is written to the terminal: nothing with `--disable-stdout-logs`.
+    pub fn console_filter(&self, filter: &str) -> String {
+        if self.has_console { self.log_filter(filter) } else { "off".to_owned() }
     }
 
     /// Whether this is the ROS name of the node's logger.

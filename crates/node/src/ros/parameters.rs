@@ -13,7 +13,7 @@
 use std::{fs, path::Path};
 
 use super::{
-    InvalidArgument,
+    InvalidArgument, TopicQos,
     remap::quoted,
     yaml::{self, Yaml},
 };
@@ -25,6 +25,12 @@ const PARAMETERS: &str = "ros__parameters";
 
 /// Matches every node.
 const ALL_NODES: &str = "/**";
+
+/// A parameter of every node of ROS 2 (`rclcpp::Node`) that eddy accepts without an effect: types are always described.
+const TYPE_DESCRIPTIONS: &str = "start_type_description_service";
+
+/// Parameters of every node of ROS 2 that are the same in all of them.
+const OF_EVERY_NODE: [&str; 2] = ["use_sim_time", TYPE_DESCRIPTIONS];
 
 /// A parameter override and the nodes it applies to.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +46,17 @@ pub struct ParameterOverride {
 }
 
 impl ParameterOverride {
+    /// Whether every node of ROS 2 has this parameter, so that a file for several nodes may set it.
+    pub fn is_of_every_node(&self) -> bool {
+        let name = self.parameter.name.as_str();
+        OF_EVERY_NODE.contains(&name) || TopicQos::is_parameter(name)
+    }
+
+    /// Whether it is a parameter of every node that has no effect on eddy's.
+    pub fn is_without_effect(&self) -> bool {
+        self.parameter.name == TYPE_DESCRIPTIONS
+    }
+
     /// Whether it is given to the node with this full name.
     pub(super) fn is_for(&self, node: &str) -> bool {
         let words = |name: &'_ str| -> Vec<String> {
@@ -102,10 +119,8 @@ pub(super) fn read(file: &Path) -> Result<Vec<ParameterOverride>, InvalidArgumen
 
 fn parse_file(argument: &str, text: &str) -> Result<Vec<ParameterOverride>, InvalidArgument> {
     let form = "a map of nodes with ros__parameters, in YAML";
-    let yaml = yaml::read(text).map_err(|error| {
-        let first = error.to_string().lines().next().unwrap_or_default().to_owned();
-        InvalidArgument::new(argument, first, form)
-    })?;
+    let yaml = yaml::read(text)
+        .map_err(|error| InvalidArgument::new(argument, yaml::words(&error), form))?;
     let Yaml::Map(nodes) = yaml else {
         return Err(InvalidArgument::new(argument, "no map", form));
     };
@@ -231,9 +246,15 @@ mod tests {
             ("- a", "f: found no map, expected a map of nodes"),
             ("a: {ros__parameters: {b: {c: }}}", "f: /a: b.c: found nothing, expected a value"),
             ("a: {ros__parameters: 1}", "f: /a/ros__parameters: found a value"),
+            (
+                "a:\n  ros__parameters:\n    b: 2\n    b: 5\n",
+                "f: found duplicate mapping key `b` is not allowed here at line 4, column 5, expected a map of nodes",
+            ),
         ] {
             let message = parse_file("f", text).unwrap_err().to_string();
             assert!(message.starts_with(expected), "{message}");
+            // Those are settings of a library.
+            assert!(!message.contains("Policy") && !message.contains("Options"), "{message}");
         }
     }
 }

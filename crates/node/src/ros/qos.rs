@@ -18,6 +18,16 @@ const PREFIX: &str = "qos_overrides.";
 const FORM: &str = "qos_overrides.TOPIC.publisher.POLICY or qos_overrides.TOPIC.subscription.POLICY, for example qos_overrides./prediction.publisher.reliability";
 /// The supported policies, for error messages.
 const POLICIES: &str = "reliability, durability, history or depth";
+/// The other policies of ROS 2 (`rclcpp::QosPolicyKind`), which are accepted without an effect.
+const OTHERS: [&str; 5] = [
+    "avoid_ros_namespace_conventions",
+    "deadline",
+    "lifespan",
+    "liveliness",
+    "liveliness_lease_duration",
+];
+/// Values that leave a policy as it is: that of the middleware, or one that suits the other side.
+const AS_IT_IS: [&str; 2] = ["system_default", "best_available"];
 
 /// Depth of ROS 2's default profile.
 const DEPTH: usize = 10;
@@ -118,6 +128,14 @@ impl Policies {
             other => other.name().to_owned(),
         };
         let invalid = |expected: &str| Err((found(), expected.to_owned()));
+        if OTHERS.contains(&policy) {
+            tracing::warn!("qos_overrides: {policy} has no effect, eddy supports {POLICIES}");
+            return Ok(());
+        }
+        let is_chosen = matches!(policy, "reliability" | "durability" | "history");
+        if is_chosen && AS_IT_IS.contains(&text) {
+            return Ok(());
+        }
         match (policy, text) {
             ("reliability", "reliable") => self.reliability = Some(ReliabilityPolicy::Reliable),
             ("reliability", "best_effort") => {
@@ -204,6 +222,25 @@ mod tests {
     }
 
     #[test]
+    fn other_policies_and_defaults_of_ros_are_accepted_and_change_nothing() {
+        for override_ in [
+            "deadline:=1000",
+            "lifespan:=1000",
+            "liveliness:=automatic",
+            "liveliness_lease_duration:=1000",
+            "avoid_ros_namespace_conventions:=false",
+            "reliability:=system_default",
+            "durability:=best_available",
+            "history:=system_default",
+        ] {
+            let name = format!("qos_overrides./a.publisher.{override_}");
+            let default = QosProfile::default();
+            let offered = parse(&["-p", &name]).unwrap().publisher("/a", default);
+            assert_eq!(offered, Some(default), "{name}");
+        }
+    }
+
+    #[test]
     fn a_file_has_the_levels_of_the_name_as_maps() {
         let text = "eddy_node:\n  ros__parameters:\n    qos_overrides:\n      /diagnostics:\n        publisher: {reliability: best_effort, depth: 1}\n";
         let file = tempfile::NamedTempFile::new().unwrap();
@@ -225,7 +262,8 @@ mod tests {
             ("/a.publisher.reliability:=1", "found 1, expected reliable or best_effort"),
             ("/a.publisher.durability:=true", "found a bool, expected volatile or"),
             ("/a.publisher.history:=all", "found `all`, expected keep_last or keep_all"),
-            ("/a.publisher.deadline:=1", "found `deadline`, expected reliability, durability"),
+            ("/a.publisher.delay:=1", "found `delay`, expected reliability, durability"),
+            ("/a.publisher.depth:=system_default", "found `system_default`, expected a positive"),
         ] {
             let message = parse(&["-p", &format!("qos_overrides.{text}")]).unwrap_err();
             assert!(

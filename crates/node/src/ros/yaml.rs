@@ -19,6 +19,12 @@ pub(crate) fn read(text: &str) -> Result<Yaml, serde_saphyr::Error> {
     serde_saphyr::from_str_with_options(text, options)
 }
 
+/// An error without advice on settings of the library, in one line.
+pub(super) fn words(error: &serde_saphyr::Error) -> String {
+    let text = error.without_snippet().render_with_formatter(&serde_saphyr::UserMessageFormatter);
+    text.lines().next().unwrap_or_default().to_owned()
+}
+
 /// A YAML value.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Yaml {
