@@ -210,10 +210,10 @@ fn asking_for_2500_particles_is_asking_for_nothing() {
 fn a_scene_that_fails_leaves_the_others_as_they_are() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();
-    // So soft that sound is slower than the splashes: the liquid of some scenes blows up.
+    // So soft that sound is slower than the splashes: the matter of some scenes is crushed.
     let more = ["--scenes", "6", "--duration", "0.8", "--stiffness", "10"];
     let said = fail(1, simulate(output, &more));
-    let failed = said.lines().filter(|line| line.contains("expected one inside the walls")).count();
+    let failed = said.lines().filter(|line| line.contains("found matter crushed")).count();
     assert!((1..6).contains(&failed), "{said}");
     let manifest = manifest(output);
     let finished = manifest["scenes"].as_array().unwrap();

@@ -146,7 +146,7 @@ impl World {
         let mut running: Vec<_> = started.collect();
         let Some(mut last) = running.pop() else { return };
         if endless(&last.line) {
-            wait(place, "prints something", &mut last, |last| !last.said().is_empty());
+            wait(place, "has begun", &mut last, |last| last.has_begun());
             last.interrupt();
         }
         last.ends_well(place);
@@ -199,6 +199,15 @@ impl Running {
         let mut said = Vec::new();
         File::open(&self.output).unwrap().read_to_end(&mut said).unwrap();
         String::from_utf8_lossy(&said).into_owned()
+    }
+
+    /// Whether it prints something; a recorder, whether it records every link that it was given.
+    fn has_begun(&self) -> bool {
+        let said = self.said();
+        let records = self.line.starts_with("eddy record");
+        let links = self.line.split(' ').filter(|word| records && word.contains(":/"));
+        !said.is_empty()
+            && links.into_iter().all(|link| said.contains(&format!("recording {link}")))
     }
 
     /// Interrupts it like Ctrl-C; bash replaces itself by a single command.
