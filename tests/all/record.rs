@@ -309,7 +309,7 @@ fn another_type_on_a_recorded_topic_is_named() {
     wait_for_a_subscriber(&*words);
     words.publish_cdr(&word("one")).unwrap();
     let _numbers = world.publisher("zenoh", "topic", "std_msgs/msg/Int32");
-    let warned = "found message type std_msgs/msg/Int32 (RIHS01_";
+    let warned = "), recorded is std_msgs/msg/String (RIHS01_";
     wait_for("the other type is found", || {
         fs::read_to_string(log.path()).unwrap().contains(warned).then_some(())
     });
@@ -345,7 +345,8 @@ fn a_bag_that_is_being_recorded_is_not_replaced() {
     killed.line("recording shm:");
     killed.kill();
     let mut recorder = Process::start(&mut world.record_words(&["--force", "--max-messages", "1"]));
-    wait_for_a_subscriber(&*publisher);
+    // The publisher may still count the killed one.
+    recorder.line("recording shm:");
     publisher.publish_cdr(&word("three")).unwrap();
     assert!(recorder.wait().success());
     assert_eq!(BagReader::open(&world.bag()).unwrap().message_count(), 1);

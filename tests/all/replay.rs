@@ -431,13 +431,14 @@ fn a_long_pause_is_said_when_it_begins_with_what_to_do() {
     write_words(&world.bag(), &[0, 1_700_000_000_000]);
     let mut words = world.subscriber("shm", "a", RosString::TYPE);
     let log = tempfile::NamedTempFile::new().unwrap();
-    let player = Process::start(world.replay("shm", &[]).stderr(log.reopen().unwrap()));
+    let mut player = Process::start(world.replay("shm", &[]).stderr(log.reopen().unwrap()));
     assert_eq!(next(&mut *words), word("0"));
     let expected = "the next message follows in 54 years; --start-offset 1700000000 begins with it";
     wait_for("the pause is said", || {
         fs::read_to_string(log.path()).unwrap().contains(expected).then_some(())
     });
-    player.kill();
+    player.interrupt();
+    player.wait();
     let mut player = Process::start(&mut world.replay("shm", &["--start-offset", "1700000000"]));
     assert_eq!(next(&mut *words), word("1700000000000"));
     assert!(player.wait().success());

@@ -208,7 +208,7 @@ fn settings_that_cannot_be_used_are_refused_before_anything_is_written() {
         ("windows = []", "windows: found [], expected at least one"),
         ("[data]\nscenes = 2", "data.scenes: found 2, expected at least 3"),
         ("[training]\narchitecture = \"particle\"", "expected frame: the paper's network"),
-        ("[training.network]\nhidden = 0", "network.hidden: found 0, expected at least 1"),
+        ("[training.network]\nhidden = 0", "network.hidden: found 0, expected 1 to 65536"),
         ("[dense]\nwidth = 0", "dense.width: found 0, expected at least 1"),
         ("step_seconds = 0", "step_seconds: found 0, expected a positive number"),
         ("[judging]\nhorizon = 21", "judging.horizon: found 21, expected at most 20"),

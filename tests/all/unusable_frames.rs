@@ -123,7 +123,7 @@ fn of_node(message: &ParticleFrame) -> String {
     let mut said = String::new();
     node.on_frames(&mut arrivals, None, &mut |_, outcome| {
         if let Err(rejection) = outcome {
-            said = rejection.to_string();
+            said = rejection.reason.to_string();
         }
     });
     said
