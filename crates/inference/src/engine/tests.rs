@@ -274,7 +274,10 @@ fn particles_that_a_network_cannot_predict_are_rejected() {
         "{message}"
     );
     let message = rejection(Architecture::Frame, |frame| frame.domain.upper = [2.0, 1.0]);
-    assert!(message.starts_with("lower, upper: found [0.0, 0.0], [2.0, 1.0]"), "{message}");
+    assert!(
+        message.starts_with("lower, upper: found 0 to 2 x 0 to 1, expected 0 to 1 x 0 to 1"),
+        "{message}"
+    );
     for upper in [[1.0, 0.09], [f32::NAN, 1.0], [1.0, -2.0]] {
         let mut other = frame.clone();
         other.material.fill(Material::Liquid);

@@ -157,7 +157,7 @@ fn an_invalid_request_is_rejected_before_anything_is_written() {
     two_gpus.gpus = NonZeroUsize::new(2).unwrap();
     for (request, words) in [
         (unknown, "data.presets: found gas, expected multi-material, fluid, stiff or kinds"),
-        (narrow, "network.hidden: found 0, expected at least 1"),
+        (narrow, "network.hidden: found 0, expected 1 to 65536"),
         (two_gpus, "--gpus: found 2 with --device flex, expected --device cuda"),
         (elsewhere, "--device: found ndarray, expected flex or cuda"),
     ] {

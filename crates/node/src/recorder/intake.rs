@@ -284,7 +284,7 @@ mod tests {
 
     #[test]
     fn messages_are_dropped_and_counted_while_the_queue_is_full() {
-        let (queued, losses) = intake(3_000, &[1_000, 1_000, 1_000, 50], None);
+        let (queued, losses) = intake(3_200, &[1_000, 1_000, 1_000, 50], None);
         assert!(matches!(queued[0], Event::Typed(0, _)));
         // A smaller one still fits.
         assert_eq!(sizes(&queued), [1_000, 1_000, 50]);

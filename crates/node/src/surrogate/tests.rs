@@ -397,16 +397,11 @@ fn a_stream_that_another_member_owns_is_forgotten_and_warms_up_when_it_comes_bac
 #[test]
 fn a_prediction_that_is_not_finite_is_never_published() {
     let mut checkpoint = checkpoint();
-    // Or the frame would be too fast.
-    checkpoint.description.normalization.maximum[2..].fill(f32::MAX);
+    checkpoint.tensors.get_mut("decoder.weight").unwrap().values.fill(f32::MAX);
     let surrogate = Surrogate::load(&checkpoint, None).unwrap();
     let mut node = SurrogateNode::new(surrogate, NodeSettings::default()).unwrap();
-    feed_all(&mut node, (0..4).map(|s| frame(1, s)));
-    let mut wild = frame(1, 4);
-    wild.velocity[0] = [f32::MAX; 2];
-    assert_eq!(wild.check(), Ok(()));
-    assert_eq!(feed(&mut node, wild), []);
-    assert_eq!((node.counters().diverged, node.streams()), (1, 0));
+    assert_eq!(feed_all(&mut node, (0..8).map(|s| frame(1, s))), []);
+    assert!(node.counters().diverged > 0);
 }
 
 #[test]
@@ -469,7 +464,7 @@ fn frames_in_other_units_are_counted_and_not_predicted() {
         Payload::Frame(frame)
     };
     for (payload, expected) in [
-        (scaled(1.0, 0.5, 1.0), "expected inside the domain 0 to 1 x 0 to 1"),
+        (scaled(1.0, 0.8, 1.0), "expected inside the domain 0 to 1 x 0 to 1"),
         (scaled(1000.0, 0.0, 1.0), "expected inside the domain"),
         (scaled(1e30, 0.0, 1.0), "expected inside the domain"),
         (scaled(1.0, 0.0, 10.0), "expected at most 2.00, twice the largest in training: units?"),
