@@ -50,7 +50,7 @@ fn printable(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c.is_control() && !matches!(c, '\n' | '\t'))
 }
 
-/// Text as it may be shown on one line: as [`print`] shows it, and with line breaks and tabs escaped.
+/// Text as it may be shown on one line: as [`print()`] shows it, and with line breaks and tabs escaped.
 pub(crate) fn on_one_line(text: &str) -> Cow<'_, str> {
     escaped(text, char::is_control)
 }
