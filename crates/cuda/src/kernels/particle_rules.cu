@@ -333,7 +333,11 @@ __device__ __forceinline__ double sum_of(const BodySums& body, int quantity) {
 extern "C" __global__ void __launch_bounds__(256) particle_bodies_number(const Stream* __restrict__ streams) {
   const Stream& s = streams[blockIdx.y];
   for (u32 node = first_thread(); node < s.totals[0]; node += all_threads()) {
-    const u32 root = root_of(s.parents, node);
+    // Each thread writes the parent of its own node only: `root_of` also moves the nodes on its way, and one moved with an old parent in
+    // hand after its own thread had found the root would lie below the root again.
+    const volatile u32* parents = s.parents;
+    u32 root = parents[node];
+    for (u32 above = parents[root]; above != root; above = parents[root]) root = above;
     s.parents[node] = root;
     if (root != node) continue;
     const u32 number = atomicAdd(s.totals + LEVELS, 1u);

@@ -19,7 +19,8 @@ use eddy_settings::near;
 
 /// Version of the checkpoint format that is written. It increases when older files would be misread.
 ///
-/// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::STANDARD`], with a rate of the rule `area` of 1.
+/// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::STANDARD`], with a rate of the rule `area` of 1
+/// and the speeds .25 and 1 of the rule `rest`.
 pub const FORMAT_VERSION: u32 = 2;
 
 /// Statistics of the features x, y, vx, vy over the training split only (domain lengths and domain lengths per second).

@@ -150,7 +150,7 @@ impl Rules {
         }),
         shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
         flight: Some(FlightRule { wall_distance: 1.5 }),
-        rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+        rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.02, awake_from: 0.1 }),
     };
 
     /// The rules of a new network: [`Rules::STANDARD`] for the particle model, none for the frame model.
@@ -161,11 +161,14 @@ impl Rules {
         }
     }
 
-    /// The rules that format version 1 implied: those of a new network, but for the rate of the rule `area`.
+    /// The rules that format version 1 implied: those of a new network, but for the rate of the rule `area` and the speeds of the rule `rest`.
     pub(super) fn of_version_1(architecture: Architecture) -> Self {
         let mut rules = Self::standard(architecture);
         if let Some(area) = &mut rules.area {
             area.rate = all_at_once();
+        }
+        if let Some(rest) = &mut rules.rest {
+            (rest.asleep_below, rest.awake_from) = (0.25, 1.0);
         }
         rules
     }
