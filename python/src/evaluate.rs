@@ -97,7 +97,7 @@ pub(crate) fn evaluate(
         }
         let options = LoadOptions { memory: available_memory() / 2, skip_streams };
         let loaded = load_trajectories(&data, options, &mut |_, _| ());
-        let loaded = loaded.map_err(|error| error.to_string())?;
+        let loaded = loaded.map_err(|error| values::refused(&error, skip_streams))?;
         *lock(&skipped) = loaded.skipped;
         let request = EvaluationRequest {
             checkpoints: models,

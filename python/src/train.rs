@@ -57,7 +57,7 @@ pub(crate) fn train_network<'py>(
         train::check_output(&output, resume).map_err(|error| text(&error))?;
         let options = LoadOptions { memory: available_memory() / 2, skip_streams };
         let dataset = Dataset::load(&data, options, &mut |_, _| ());
-        let dataset = dataset.map_err(|error| text(&error))?;
+        let dataset = dataset.map_err(|error| values::refused(&error, skip_streams))?;
         lock(&skipped).clone_from(&dataset.skipped);
         let machine = Machine::with_free_disk(available_memory(), &output);
         let run = Run {

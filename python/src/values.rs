@@ -2,6 +2,7 @@
 
 use std::{ffi::CString, path::PathBuf};
 
+use eddy_evaluation::dataset::DatasetError;
 use eddy_messages::UnusableFrame;
 use eddy_settings::types;
 use pyo3::{
@@ -30,6 +31,16 @@ pub(crate) fn word<T: DeserializeOwned>(name: &str, word: &str) -> PyResult<T> {
     Value::String(word.to_owned()).try_into().map_err(|error: toml::de::Error| {
         PyValueError::new_err(format!("{name}: {}", error.to_string().trim_end()))
     })
+}
+
+/// Why streams cannot be used, and how to leave them out.
+pub(crate) fn refused(error: &DatasetError, skip_streams: bool) -> String {
+    match error {
+        DatasetError::Unusable(_) if !skip_streams => {
+            format!("{error}; skip_streams=True leaves out such streams")
+        }
+        _ => error.to_string(),
+    }
 }
 
 /// Warns of each stream that was skipped.

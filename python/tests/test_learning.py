@@ -141,3 +141,14 @@ def test_evaluation_names_what_is_wrong(tmp_path: Path, bags: Path) -> None:
         eddy.evaluate(bags, references=["magic"])  # type: ignore[list-item]
     with pytest.raises(eddy.EvaluationError, match="starts: found 0"):
         eddy.evaluate(bags, starts=0)
+
+
+def test_unusable_streams_are_named_or_left_out(tmp_path: Path, bags: Path, block: eddy.Frame) -> None:
+    wide = eddy.Frame(block.position, block.velocity, "jelly", stream=77, upper=(2.0, 1.0))
+    with eddy.BagWriter(tmp_path / "wide") as writer:
+        writer.write_frame(wide)
+    both = [bags, tmp_path / "wide"]
+    with pytest.raises(eddy.EvaluationError, match="wide: stream 77, frame 0: lower, upper: .*; skip_streams=True"):
+        eddy.evaluate(both, horizon=2, starts=1)
+    with pytest.warns(UserWarning, match="skipped: .*wide: stream 77"):
+        eddy.evaluate(both, horizon=2, starts=1, skip_streams=True)

@@ -66,7 +66,7 @@ pub enum InvalidFrame {
     )]
     Fast { particle: usize, found: [f32; 2], most: [f32; 2], dt: f32 },
     /// What is the same in all frames that are used together differs from the first stream.
-    #[error("{field}: found {found}, expected {expected} as in the first stream")]
+    #[error("{field}: found {found}, expected {expected} as in most streams")]
     OtherSetup { field: &'static str, found: String, expected: String },
 }
 
@@ -255,11 +255,11 @@ mod tests {
         assert_eq!(same_setup(setup, setup), Ok(()));
         assert_eq!(
             same_setup((0.016, wide), setup).unwrap_err().to_string(),
-            "lower, upper: found 0 to 2 x 0 to 1, expected 0 to 1 x 0 to 1 as in the first stream"
+            "lower, upper: found 0 to 2 x 0 to 1, expected 0 to 1 x 0 to 1 as in most streams"
         );
         assert_eq!(
             same_setup((0.02, wide), setup).unwrap_err().to_string(),
-            "dt: found 0.02 s, expected 0.016 s as in the first stream"
+            "dt: found 0.02 s, expected 0.016 s as in most streams"
         );
     }
 

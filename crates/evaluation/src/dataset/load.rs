@@ -135,7 +135,7 @@ pub(super) fn load(
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
-    let setup = partials.first().map(|first| (first.stream.dt, first.stream.domain));
+    let setup = usual_setup(&partials);
     skipped.extend(partials.iter().filter_map(|partial| of_other_setup(&partial.stream, setup?)));
     if let Some(first) = skipped.first()
         && !skip_streams
@@ -179,6 +179,19 @@ pub(super) fn load(
     };
     let streams = streams.into_iter().enumerate().map(stored).zip(gravity).map(with_gravity);
     Ok(Loaded { streams: streams.collect(), skipped })
+}
+
+/// The interval and the domain of most streams; of the first among equals.
+fn usual_setup(streams: &[PartialStream]) -> Option<(f32, Domain)> {
+    let mut counts: Vec<((f32, Domain), usize)> = Vec::new();
+    for PartialStream { stream, .. } in streams {
+        let setup = (stream.dt, stream.domain);
+        match counts.iter_mut().find(|(other, _)| *other == setup) {
+            Some((_, count)) => *count += 1,
+            None => counts.push((setup, 1)),
+        }
+    }
+    counts.into_iter().rev().max_by_key(|(_, count)| *count).map(|(setup, _)| setup)
 }
 
 /// The first frame of a stream, if it cannot be used with those of this interval and domain.
