@@ -173,7 +173,7 @@ struct ReadInformation {
     custom_data: Option<CustomData>,
 }
 
-/// The fields that are needed, and everything that is said of the bag.
+/// The fields that are needed, and all fields as they were read.
 fn read(path: &Path) -> Result<(ReadInformation, Description), BagError> {
     let text =
         eddy_storage::read_to_string(path).map_err(BagError::io(path, "reading the metadata"))?;

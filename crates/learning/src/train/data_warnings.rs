@@ -40,7 +40,7 @@ pub fn data_warnings(
         let setup = stream.setup();
         let of_settings = warnings(&settings, &setup);
         let of_start = start.map(|start| warnings(&start.description, &setup));
-        // What differs from both is said of the settings, which decide.
+        // Data that differ from both are compared with the settings, which decide.
         let of_start = of_start.into_iter().flatten().filter(|found| !of_settings.contains(found));
         let sentences =
             of_settings.iter().filter_map(against_settings).chain(of_start.filter_map(|found| {

@@ -89,3 +89,59 @@ fn scenes_of_the_presets_need_no_more_substeps_than_at_their_start() {
     let shown = Limit::Strain(Material::Rope).to_string();
     assert_eq!(shown, "fast strain in rope");
 }
+
+#[test]
+#[ignore]
+fn table() {
+    use eddy_mpm::Emitter;
+    fn end2(scene: &Scene, substeps: Option<u32>) -> Result<(f64, [f32; 4], u32), MpmError> {
+        let settings = Settings { substeps, ..Settings::default() };
+        let mut simulation = Simulation::new(scene.clone(), &settings)?;
+        let start = simulation.energy().total();
+        let mut last = None;
+        while let Some(frame) = simulation.next_frame()? {
+            last = Some(frame);
+        }
+        let frame = last.unwrap();
+        let [[left, right], [bottom, top]] = [0, 1].map(|axis| {
+            let mut places: Vec<f32> = frame.position.iter().map(|x| x[axis]).collect();
+            places.sort_by(f32::total_cmp);
+            [places[places.len() / 10], places[places.len() * 9 / 10]]
+        });
+        let refined = simulation.refined().iter().map(|&[_, substeps]| substeps as u32);
+        let e = simulation.energy().total();
+        Ok((if start > 0.0 { e / start } else { e }, [left, right, bottom, top], refined.max().unwrap_or(simulation.substeps_per_frame())))
+    }
+    let jet = |material, speed: f32| {
+        let emitter = Emitter { material, position: [0.3, 0.5], width: 0.1, velocity: [-speed, 0.0], particles: 400 };
+        let mut scene = Scene { emitters: vec![emitter], ..Scene::default() };
+        scene.frames.duration = 0.2;
+        scene
+    };
+    let pulled = |material, gravity: f32| {
+        let mut scene = thrown(material, Law::Water, 1e-3);
+        (scene.solver.gravity, scene.frames.duration) = (gravity, 0.2);
+        scene
+    };
+    let mut cases = Vec::new();
+    let matter = [(Material::Liquid, Law::Water), (Material::Liquid, Law::Taichi), (Material::Snow, Law::Water), (Material::Jelly, Law::Water), (Material::Rope, Law::Water)];
+    for (m, law) in matter {
+        for speed in [1.0, 5.0, 15.0, 20.0, 30.0, 60.0] { cases.push((format!("{} {law:?} thrown {speed}", m.name()), thrown(m, law, speed))); }
+    }
+    for (m, _) in matter { for g in [-300.0, -1000.0] { cases.push((format!("{} pulled {g}", m.name()), pulled(m, g))); }
+        for s in [5.0, 20.0] { cases.push((format!("{} jet {s}", m.name()), jet(m, s))); } }
+    let rows: Vec<String> = cases.iter().map(|(name, scene)| {
+        match end2(scene, None) {
+            Err(error) => format!("{name}: {error}"),
+            Ok(a) => {
+                let n = a.2;
+                let usual = end2(scene, Some(n));
+                let five = end2(scene, Some(5 * n));
+                let more = if n < 400 { Some(end2(scene, Some(25 * n))) } else { None };
+                let s = |e: Result<(f64,[f32;4],u32), MpmError>| match e { Ok(e) => format!("{:.3} {:.2?}", e.0, e.1), Err(e) => e.to_string() };
+                format!("{name}: n {n}: {:.3} {:.2?} | all n {} | 5x {} | 25x {}", a.0, a.1, s(usual), s(five), more.map_or(String::new(), s))
+            }
+        }
+    }).inspect(|row| println!("{row}")).collect();
+    let _ = rows;
+}

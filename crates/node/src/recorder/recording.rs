@@ -334,7 +334,7 @@ mod tests {
         let recorded = world.record(&discovery, &options, || {
             let clock = Clock::start();
             while told.lock().unwrap().is_empty() {
-                assert!(clock.now() < LONG, "nothing is told");
+                assert!(clock.now() < LONG, "no line was sent");
                 thread::sleep(Duration::from_millis(1));
             }
         });

@@ -73,16 +73,26 @@ impl TopicQos {
                 |found: String, expected: &str| InvalidArgument::new(argument, found, expected);
             let parsed = name.rsplit_once('.').and_then(|(rest, policy)| {
                 let (topic, side) = rest.rsplit_once('.')?;
+                // `publisher_ID` is for the publisher of a topic that a node has given this ID.
+                let (side, id) = side.split_once('_').map_or((side, None), |(a, b)| (a, Some(b)));
                 let side = match side {
                     "publisher" => Side::Publisher,
                     "subscription" => Side::Subscription,
                     _ => return None,
                 };
-                is_absolute_name(topic).then(|| (side, topic.to_owned(), policy))
+                is_absolute_name(topic).then(|| (side, topic.to_owned(), policy, id))
             });
-            let (side, topic, policy) =
+            let (side, topic, policy, id) =
                 parsed.ok_or_else(|| invalid(quoted(&parameter.name), FORM))?;
-            let policies = qos.policies.entry((side, topic)).or_default();
+            let mut without_effect = Policies::default();
+            let policies = match id {
+                None => qos.policies.entry((side, topic)).or_default(),
+                Some(_) => {
+                    let name = &parameter.name;
+                    tracing::warn!("{name}: no effect, as no topic of eddy has a QoS override ID");
+                    &mut without_effect
+                }
+            };
             policies
                 .set(policy, &parameter.value)
                 .map_err(|(found, expected)| invalid(found, &expected))?;
@@ -238,6 +248,14 @@ mod tests {
             let offered = parse(&["-p", &name]).unwrap().publisher("/a", default);
             assert_eq!(offered, Some(default), "{name}");
         }
+    }
+
+    #[test]
+    fn overrides_for_an_id_are_checked_and_change_nothing() {
+        let name = |value: &str| format!("qos_overrides./a.publisher_front.depth:={value}");
+        let default = QosProfile::default();
+        assert_eq!(parse(&["-p", &name("3")]).unwrap().publisher("/a", default), None);
+        assert!(parse(&["-p", &name("0")]).unwrap_err().contains("a positive number"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Rejected frames by stream and reason, so that each is said at once and then at intervals.
+//! Rejected frames by stream and reason. Each is logged at once, then at intervals.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

@@ -15,9 +15,14 @@ pub(super) fn error(link: &Link, action: &'static str, reason: &dyn Display) -> 
 /// The error and its causes, without places in source files: `A at /path/to/file.rs:12. - Caused by B at ...` is `A: B`.
 pub(super) fn words(reason: &dyn Display) -> String {
     let text = reason.to_string();
-    let parts = text.split(CAUSE).map(|part| without_places(part).trim().to_owned());
+    let parts = text.split(CAUSE).map(|part| without_type(without_places(part).trim()).to_owned());
     let parts: Vec<_> = parts.filter(|part| !part.is_empty()).collect();
     parts.join(": ")
+}
+
+/// The text of an error of `validated_struct`, which zenoh prints as a value of Rust: `Str("unknown key")`.
+fn without_type(text: &str) -> &str {
+    text.strip_prefix("Str(\"").and_then(|text| text.strip_suffix("\")")).unwrap_or(text)
 }
 
 /// A text without each ` at FILE.rs:LINE`, and without the full stop at its end.
@@ -52,6 +57,7 @@ mod tests {
                 "Unknown key",
             ),
             ("A at /a/b.rs:1. - Caused by B at tcp at C:\\\\d.rs:22.", "A: B at tcp"),
+            ("Str(\"unknown key\") at /a.rs:2.", "unknown key"),
             ("no place", "no place"),
             ("meet at noon", "meet at noon"),
             ("[a at /b.rs:3., c at /d.rs:4.]", "[a., c.]"),
@@ -69,6 +75,7 @@ mod tests {
             let error = config.insert_json5(key, value).unwrap_err();
             let words = words(&error);
             assert!(!words.is_empty() && !words.contains(".rs"), "{words}");
+            assert!(!words.contains("Str("), "{words}");
         }
         let error = zenoh::Config::from_file("/nowhere.json5").unwrap_err();
         assert!(!words(&error).contains(".rs"), "{}", words(&error));

@@ -1,8 +1,9 @@
 //! Other processes: this test binary started again, with a role.
 
 use std::{
+    fs,
     io::{BufRead, BufReader},
-    os::unix::process::CommandExt as _,
+    os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
     process::{Child, ChildStdout, Command, Stdio},
     sync::mpsc,
     thread,
@@ -26,20 +27,22 @@ pub(super) struct Process {
 impl Process {
     /// Starts `role` on `link`, with the same ports and the same domain as `options`.
     pub(super) fn start(role: &str, link: &Link, options: &TransportOptions) -> Self {
-        Self::run(role, link, options, |command| command)
+        Self::run(Command::new(std::env::current_exe().unwrap()), role, link, options)
     }
 
     /// As [`Process::start`], as the user with this id, which the superuser may.
     pub(super) fn start_as(user: u32, role: &str, link: &Link, options: &TransportOptions) -> Self {
-        Self::run(role, link, options, |command| command.uid(user).gid(user))
+        // A copy, as this program may be where another user cannot run it.
+        let folder = tempfile::tempdir().unwrap();
+        fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
+        let program = folder.path().join("child");
+        fs::copy(std::env::current_exe().unwrap(), &program).unwrap();
+        let mut command = Command::new(program);
+        command.uid(user).gid(user);
+        Self::run(command, role, link, options)
     }
 
-    fn run(
-        role: &str,
-        link: &Link,
-        options: &TransportOptions,
-        change: impl FnOnce(&mut Command) -> &mut Command,
-    ) -> Self {
+    fn run(mut command: Command, role: &str, link: &Link, options: &TransportOptions) -> Self {
         let ports = &options.zenoh.ports;
         let task = format!(
             "{role} {link} {} {} {} {}",
@@ -48,12 +51,11 @@ impl Process {
             options.zenoh.router,
             options.domain_id
         );
-        let mut command = Command::new(std::env::current_exe().unwrap());
         command
             .args(["--ignored", "--exact", "child::main", "--nocapture"])
             .env(VARIABLE, task)
             .stdout(Stdio::piped());
-        let mut child = change(&mut command).spawn().unwrap();
+        let mut child = command.spawn().unwrap();
         let lines = read_lines(child.stdout.take().unwrap());
         Self { child, lines }
     }

@@ -179,12 +179,6 @@ fn files_of_another_user_are_an_error_that_says_whose_they_are() {
         println!("not tried: this user cannot become another one");
         return;
     }
-    let mut list = std::process::Command::new(std::env::current_exe().unwrap());
-    std::os::unix::process::CommandExt::uid(&mut list, 65_534);
-    if list.arg("--list").stdout(std::process::Stdio::null()).status().is_err() {
-        println!("not tried: another user cannot run this program where it is");
-        return;
-    }
     let (options, link) = (options(), link("shm"));
     let transports = Transports::new(options.clone());
     let _publisher = frames_publisher(&transports, &link, Reliability::Block);
