@@ -60,7 +60,7 @@ pub enum MpmError {
     },
     /// A particle has left the grid, moved further than a cell in a substep, or has a position that is not finite.
     #[error(
-        "particle {particle} ({}): found position {position:?} after {time:.3} s, expected one inside the walls, \
+        "particle {particle} ({}): found position {position:?} in the frame after {time:.3} s, expected one inside the walls, \
          within a cell of the previous substep; more substeps or another stiffness may help",
         material.name()
     )]
@@ -77,7 +77,7 @@ pub enum MpmError {
     },
     /// Substeps were too long for a particle in the course of the scene.
     #[error(
-        "particle {particle}: found {substeps} substeps per frame after {time:.3} s, too few because of {limit}; \
+        "particle {particle}: found {substeps} substeps per frame in the frame after {time:.3} s, too few because of {limit}; \
          reduce speeds, gravity or stiffness"
     )]
     TooLong {
@@ -104,7 +104,7 @@ pub enum MpmError {
     },
     /// Matter is in a state that the laws do not describe, with any number of substeps.
     #[error(
-        "particle {particle} ({}) at {position:?}: found {cause} after {time:.3} s, with up to {substeps} substeps per frame; {}",
+        "particle {particle} ({}) at {position:?}: found {cause} in the frame after {time:.3} s, with up to {substeps} substeps per frame; {}",
         material.name(), cause.remedy()
     )]
     Collapsed {
