@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::{
-    DiagnosticArray, DiagnosticStatus, Header, KeyValue, Message, ParticleFrame, cdr,
+    DiagnosticArray, DiagnosticStatus, Header, KeyValue, Message, ParticleFrame,
+    cdr::{self, HEADER},
     services::{Parameter, ParameterValue, SetParametersRequest},
     type_support,
 };

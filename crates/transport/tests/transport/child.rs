@@ -78,15 +78,15 @@ impl Process {
         let id = self.child.id().to_string();
         assert!(Command::new("kill").args(["-STOP", &id]).status().unwrap().success());
         // A thread goes on until the processor that it runs on, or is to run on, is told.
-        let is_stopped = |task: std::io::Result<std::fs::DirEntry>| {
-            let status = std::fs::read_to_string(task.unwrap().path().join("stat"));
+        let is_stopped = |task: std::io::Result<fs::DirEntry>| {
+            let status = fs::read_to_string(task.unwrap().path().join("stat"));
             // The state follows the name, which is in parentheses.
             status.is_ok_and(|status| {
                 status.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('T'))
             })
         };
         super::eventually("all threads are stopped", || {
-            std::fs::read_dir(format!("/proc/{id}/task")).unwrap().all(is_stopped)
+            fs::read_dir(format!("/proc/{id}/task")).unwrap().all(is_stopped)
         });
     }
 
