@@ -286,7 +286,7 @@ fn particles_that_a_network_cannot_predict_are_rejected() {
         assert!(message.ends_with(", for the walls"), "{message}");
     }
     let message = rejection(Architecture::Particle, |frame| frame.domain.upper = [1e9, 1.0]);
-    assert!(message.ends_with("expected at most 1048576"), "{message}");
+    assert!(message.ends_with("expected at most 1048576: units?"), "{message}");
 
     let mut fewer_particles = frame.clone();
     fewer_particles.material.fill(Material::Jelly);
