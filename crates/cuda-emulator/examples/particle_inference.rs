@@ -207,8 +207,9 @@ fn check(shipped: &Checkpoint) -> Result<()> {
         [roll(&gpu, &heap, 1)?, roll(&Surrogate::load(&without_rules(shipped), None)?, &heap, 1)?];
     let [position, velocity] = apart(&by_gpu[0], &by_cpu[0]);
     println!("2,500 particles in one place: {position:.1e}, {velocity:.1e}");
-    if position.max(velocity) > 1e-5 {
-        return Err("more than 1e-5".into());
+    // Sums of 2,500 particles on few nodes, in another order; a velocity has the digits of a position divided by dt.
+    if position > 1e-6 || velocity > 4e-5 {
+        return Err("more than 1e-6 or 4e-5".into());
     }
     Ok(())
 }
