@@ -467,14 +467,14 @@ fn constants_of_rules_out_of_range_are_rejected() {
             "flight.wall_distance: found NaN, expected 0 to 64",
         ),
         (
-            "asleep_below = 0.25",
+            "asleep_below = 0.02",
             "asleep_below = -1.0",
             "rest.asleep_below: found -1, expected at least 0",
         ),
         (
-            "awake_from = 1.0",
-            "awake_from = 0.2",
-            "rest.awake_from: found 0.2, expected above rules.rest.asleep_below",
+            "awake_from = 0.1",
+            "awake_from = 0.01",
+            "rest.awake_from: found 0.01, expected above rules.rest.asleep_below",
         ),
     ] {
         assert_eq!(
