@@ -201,12 +201,13 @@ impl Running {
         String::from_utf8_lossy(&said).into_owned()
     }
 
-    /// Whether it prints something; a recorder, whether it records every link that it was given.
+    /// Whether it prints something; a recorder, whether it records a topic, and every link that it was given.
     fn has_begun(&self) -> bool {
         let said = self.said();
         let records = self.line.starts_with("eddy record");
         let links = self.line.split(' ').filter(|word| records && word.contains(":/"));
         !said.is_empty()
+            && (!records || said.contains(":/"))
             && links.into_iter().all(|link| said.contains(&format!("recording {link}")))
     }
 

@@ -28,6 +28,9 @@ const BUDGET: usize = 128 << 20;
 const MIN_MESSAGES: usize = DEPTH + BORROWED + 8;
 /// Interval between attempts to send.
 const RETRY_INTERVAL: Duration = Duration::from_millis(1);
+/// How long a message is there at the end of a program: longer than subscribers take to poll, also on a busy machine. One that has not
+/// polled since a publisher came gets nothing once the publisher is gone.
+const LINGER: Duration = Duration::from_millis(250);
 
 /// Memory of a message to be written.
 pub(super) type Loan<P, H> = SampleMutUninit<Ipc, [MaybeUninit<P>], H>;
@@ -49,6 +52,8 @@ where
     patience: Patience,
     /// Subscribers that are not waited for.
     given_up: GivenUp,
+    /// Runs since the last message.
+    sent: Option<Clock>,
     /// Whether nobody received the last message although it was waited for.
     is_stalled: bool,
     /// Whether a missed message was logged.
@@ -93,6 +98,7 @@ where
             reliability,
             patience,
             given_up,
+            sent: None,
             is_stalled: false,
             warned_missed: false,
             warned_dropped: false,
@@ -122,6 +128,7 @@ where
     {
         self.reserve(length)?;
         let clock = Clock::start();
+        self.sent = Some(Clock::start());
         loop {
             let received = self.send_once(length, header, &write)?;
             let missed = self.given_up.end();
@@ -149,6 +156,15 @@ where
                 return Err(self.missed(&BTreeSet::new()));
             }
             thread::sleep(RETRY_INTERVAL);
+        }
+    }
+
+    /// Waits until the last message was there for [`LINGER`].
+    fn flush(&self) {
+        let Some(sent) = &self.sent else { return };
+        if self.subscribers() > 0 {
+            let left = LINGER.saturating_sub(sent.now());
+            thread::sleep(self.patience.left(Duration::ZERO).min(left));
         }
     }
 
@@ -280,6 +296,11 @@ impl Publisher for FramePublisher {
         self.publish_frame(&frame)
     }
 
+    fn flush(&mut self) -> Result<(), TransportError> {
+        self.writer.flush();
+        Ok(())
+    }
+
     fn subscribers(&self) -> usize {
         self.writer.subscribers()
     }
@@ -298,6 +319,11 @@ impl Publisher for BytesPublisher {
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
         self.writer.send(bytes.len(), (), |loan| loan.write_from_slice(bytes))
+    }
+
+    fn flush(&mut self) -> Result<(), TransportError> {
+        self.writer.flush();
+        Ok(())
     }
 
     fn subscribers(&self) -> usize {

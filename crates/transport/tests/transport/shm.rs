@@ -172,6 +172,23 @@ fn domains_do_not_mix() {
     assert!(lists(&there) && !lists(&in_domain(30)));
 }
 
+#[test]
+fn the_last_message_waits_for_a_subscriber_that_polls_late() {
+    let (options, link) = (options(), link("shm"));
+    let transports = Transports::new(options);
+    let mut subscriber = frames_subscriber(&transports, &link);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut publisher = frames_publisher(&transports, &link, Reliability::Block);
+            publisher.publish_frame(&frame(0, 10)).unwrap();
+            publisher.flush().unwrap();
+        });
+        // Many times as long as publishing takes, and a small part of what the publisher lingers.
+        thread::sleep(Duration::from_millis(20));
+        expect_frame(&mut *subscriber, &frame(0, 10));
+    });
+}
+
 /// The superuser plays another user; others cannot.
 #[test]
 fn files_of_another_user_are_an_error_that_says_whose_they_are() {
