@@ -114,11 +114,11 @@ class Process:
             self.process = subprocess.Popen(
                 [str(argument) for argument in arguments], stdout=log, stderr=subprocess.STDOUT, env=environment)
 
-    def end(self):
+    def end(self, expected=0):
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         code = self.process.wait(TIMEOUT)
-        expect(code == 0, f"{self.log.stem}: exit code {code}\n{self.log.read_text()}")
+        expect(code == expected, f"{self.log.stem}: exit code {code}, expected {expected}\n{self.log.read_text()}")
 
     def kill(self):
         self.process.kill()
