@@ -65,7 +65,7 @@ pub enum InvalidFrame {
         found[0], found[1], most[0], most[1]
     )]
     Fast { particle: usize, found: [f32; 2], most: [f32; 2], dt: f32 },
-    /// What is the same in all frames that are used together differs from the first stream.
+    /// What is the same in all frames that are used together differs from most streams.
     #[error("{field}: found {found}, expected {expected} as in most streams")]
     OtherSetup { field: &'static str, found: String, expected: String },
 }

@@ -330,14 +330,20 @@ impl Simulation {
     /// Applies emitters and drains for the next frame.
     fn exchange(&mut self) -> Result<(), MpmError> {
         let Some(flow) = &mut self.flow else { return Ok(()) };
-        if let Some(particles) = flow.apply(self.sequence, self.solver.particles()) {
-            let time = self.begun();
-            self.solver
-                .set_particles(particles.clone())
-                .map_err(|particle| diverged(&particles, particle, time))?;
-            let before = std::mem::replace(&mut self.energy, self.solver.energy());
-            self.budget = self.budget.map(|most| most + self.energy.total() - before.total());
+        match flow.apply(self.sequence, self.solver.particles()) {
+            Some(particles) => self.replace(particles),
+            None => Ok(()),
         }
+    }
+
+    /// Continues with these particles; the energy that they differ by is not growth.
+    fn replace(&mut self, particles: Vec<Particle>) -> Result<(), MpmError> {
+        let time = self.begun();
+        self.solver
+            .set_particles(particles.clone())
+            .map_err(|particle| diverged(&particles, particle, time))?;
+        let before = std::mem::replace(&mut self.energy, self.solver.energy());
+        self.budget = self.budget.map(|most| most + self.energy.total() - before.total());
         Ok(())
     }
 
@@ -351,13 +357,7 @@ impl Simulation {
             let ([x, y], [dx, dy]) = (particle.position, by());
             particle.position = [x + dx, y + dy];
         }
-        let time = self.begun();
-        self.solver
-            .set_particles(particles.clone())
-            .map_err(|particle| diverged(&particles, particle, time))?;
-        let before = std::mem::replace(&mut self.energy, self.solver.energy());
-        self.budget = self.budget.map(|most| most + self.energy.total() - before.total());
-        Ok(())
+        self.replace(particles)
     }
 
     /// The current state as a frame.

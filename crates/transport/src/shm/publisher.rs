@@ -128,7 +128,7 @@ where
     {
         self.reserve(length)?;
         let clock = Clock::start();
-        self.sent = Some(Clock::start());
+        self.sent = Some(clock);
         loop {
             let received = self.send_once(length, header, &write)?;
             let missed = self.given_up.end();
