@@ -20,6 +20,8 @@ const MAX_WAIT: Duration = Duration::from_millis(50);
 const CURVES_INTERVAL: Duration = Duration::from_millis(200);
 /// Frames of one side without a counterpart after which the side is displayed alone.
 const MAX_UNPAIRED_FRAMES: u32 = 4;
+/// Longest time that an observed frame waits for its prediction: then it is displayed alone, as a paused source sends no other.
+const MAX_HOLD: Duration = Duration::from_millis(250);
 /// Relative decay of the top speed per frame.
 const TOP_SPEED_DECAY: f32 = 0.002;
 /// Speeds are encoded up to at most [`MAX_TOP_SPEED`] times this percentile: a few outliers would otherwise leave no levels for
@@ -40,6 +42,8 @@ struct StreamView {
     unpredicted: u32,
     /// Observed frames since the last one that was displayed with its prediction.
     unpaired: u32,
+    /// The newest observed frame, if it is not displayed yet, and the time at which it came.
+    held: Option<(Arc<Frame>, Duration)>,
     top_speed: f32,
     /// Time of the last update of the curves.
     curves_updated: Duration,
@@ -55,7 +59,13 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             // The next browser starts with empty curves.
             views.clear();
         }
-        let Some(copy) = hub.next(MAX_WAIT) else { continue };
+        let copy = hub.next(MAX_WAIT);
+        for (&stream, view) in &mut views {
+            if let Some(displayed) = view.overdue(clock.now()) {
+                view.show(hub, stream, &displayed);
+            }
+        }
+        let Some(copy) = copy else { continue };
         let (FrameCopy::Truth(frame) | FrameCopy::Prediction(frame, _)) = &copy;
         if frame.check().is_err() {
             continue;
@@ -69,12 +79,15 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             views.entry(stream).or_insert_with(|| StreamView::new(comparison.empty_copy(), now));
         view.used = now;
         let displayed = match copy {
-            FrameCopy::Truth(frame) => view.truth(Arc::new(frame)),
+            FrameCopy::Truth(frame) => {
+                let frame = Arc::new(frame);
+                view.held = Some((Arc::clone(&frame), now));
+                view.truth(frame)
+            }
             FrameCopy::Prediction(frame, info) => view.prediction(Arc::new(frame), info),
         };
         if let Some(displayed) = displayed {
-            let top_speed = view.top_speed(&displayed);
-            hub.show(stream, &Bytes::from(wire::encode(&displayed, top_speed)));
+            view.show(hub, stream, &displayed);
         }
         if now.saturating_sub(view.curves_updated) > CURVES_INTERVAL {
             view.curves_updated = now;
@@ -93,10 +106,24 @@ impl StreamView {
             unobserved,
             unpredicted,
             unpaired,
+            held: None,
             top_speed,
             curves_updated: now,
             used: now,
         }
+    }
+
+    fn show(&mut self, hub: &Hub, stream: u64, displayed: &DisplayedFrame) {
+        self.held = None;
+        let top_speed = self.top_speed(displayed);
+        hub.show(stream, &Bytes::from(wire::encode(displayed, top_speed)));
+    }
+
+    /// Displays the newest observed frame alone if nothing was displayed for [`MAX_HOLD`] since it came.
+    fn overdue(&self, now: Duration) -> Option<DisplayedFrame> {
+        let (frame, came) = self.held.as_ref()?;
+        let truth = (now.saturating_sub(*came) > MAX_HOLD).then(|| Arc::clone(frame))?;
+        Some(DisplayedFrame { truth: Some(truth), ..DisplayedFrame::default() })
     }
 
     /// Displays an observed frame with its prediction, which is of the same instant; nothing yet if a free run is about to reach it, and
@@ -226,6 +253,26 @@ mod tests {
             };
             assert_eq!(sides(view.truth(frame(sequence))), expected, "{sequence}");
         }
+    }
+
+    #[test]
+    fn a_frame_of_a_paused_source_is_displayed_without_its_prediction() {
+        let hub = Hub::default();
+        let mut view = view();
+        for sequence in 0..8 {
+            let info = PredictionInfo { source: sequence, horizon: 1, free_running: false };
+            view.prediction(frame(sequence + 1), info);
+            view.truth(frame(sequence));
+        }
+        // The prediction of frame 9 is missing.
+        assert_eq!(sides(view.truth(frame(9))), None);
+        let came = Duration::from_secs(7);
+        view.held = Some((frame(9), came));
+        assert_eq!(sides(view.overdue(came + MAX_HOLD)), None);
+        let late = view.overdue(came + 2 * MAX_HOLD);
+        assert_eq!(sides(late.clone()), Some([Some(9), None]));
+        view.show(&hub, 1, &late.unwrap());
+        assert_eq!(sides(view.overdue(came + 9 * MAX_HOLD)), None, "displayed once");
     }
 
     #[test]
