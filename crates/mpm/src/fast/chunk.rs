@@ -91,15 +91,10 @@ impl Chunk {
     /// the margin. False for NaN.
     #[inline(always)]
     pub(super) fn holds<S: Simd>(&self, simd: S, position: [S::Lanes; 2]) -> (bool, bool) {
-        let within = |bounds: &[[f32; 2]; 2]| {
-            let axis = |axis: usize| {
-                let [from, to] = bounds[axis];
-                simd.less(position[axis], simd.splat(to))
-                    & simd.at_least(position[axis], simd.splat(from))
-            };
-            simd.count(axis(0) & axis(1)) == LANES
-        };
-        (within(&self.inside), within(&self.near))
+        let [x, y] = position;
+        let inside = simd.within(x, self.inside[0]) & simd.within(y, self.inside[1]);
+        let near = simd.within(x, self.near[0]) & simd.within(y, self.near[1]);
+        (simd.count(inside) == LANES, simd.count(near) == LANES)
     }
 
     /// Whether the stencil of one position lies in the patch.

@@ -26,11 +26,7 @@ type Matrices<S> = [<S as Simd>::Lanes; 4];
 /// Advances the deformation of all particles by `dt` seconds and returns their stress.
 #[inline(always)]
 pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f32) -> Stress<S> {
-    let is = |material: Material| {
-        let number = simd.splat(f32::from(material as u8));
-        simd.equal(simd.load(&pack.material), number)
-    };
-    let (is_liquid, is_snow) = (is(Material::Liquid), is(Material::Snow));
+    let (is_liquid, is_snow) = (is(simd, pack, Material::Liquid), is(simd, pack, Material::Snow));
     let liquids = simd.count(is_liquid);
     let affine = load(simd, &pack.affine);
     let trial = trial(simd, pack, &affine, dt);
@@ -58,9 +54,14 @@ pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f3
     stress
 }
 
-// Not `array::map`, which the compiler does not always inline.
+/// Which particles are of this material.
 #[inline(always)]
-fn load<S: Simd>(simd: S, [xx, xy, yx, yy]: &[Lanes; 4]) -> Matrices<S> {
+pub(super) fn is<S: Simd>(simd: S, pack: &Pack, material: Material) -> S::Mask {
+    simd.equal(simd.load(&pack.material), simd.splat(f32::from(material as u8)))
+}
+
+#[inline(always)]
+pub(super) fn load<S: Simd>(simd: S, [xx, xy, yx, yy]: &[Lanes; 4]) -> Matrices<S> {
     [simd.load(xx), simd.load(xy), simd.load(yx), simd.load(yy)]
 }
 
@@ -176,11 +177,8 @@ fn snow<S: Simd>(
     let (c, d) = (half * (xx - yy), half * (yx + xy));
     let r = simd.sqrt(c * c + d * d);
     let (large, small) = (q + r, q - r);
-    let clamp = |s| {
-        let s = simd.select(simd.less(s, lowest), lowest, s);
-        simd.select(simd.less(highest, s), highest, s)
-    };
-    let (large_kept, small_kept) = (clamp(large), clamp(small));
+    let (large_kept, small_kept) =
+        (simd.clamp(large, SNOW_STRETCH), simd.clamp(small, SNOW_STRETCH));
     let yields = is_snow & (simd.less(small, lowest) | simd.less(highest, large));
 
     let plastic = simd.load(&pack.plastic);
@@ -206,13 +204,8 @@ fn snow<S: Simd>(
 /// [`snow_hardening`](super::super::material::snow_hardening), operation by operation.
 #[inline(always)]
 fn hardening<S: Simd>(simd: S, plastic: S::Lanes) -> S::Lanes {
-    let bounded = |x, [lowest, highest]: [f32; 2]| {
-        let (lowest, highest) = (simd.splat(lowest), simd.splat(highest));
-        let x = simd.select(simd.less(x, lowest), lowest, x);
-        simd.select(simd.less(highest, x), highest, x)
-    };
     let exponent = simd.splat(SNOW_HARDENING) * (simd.splat(1.0) - plastic);
-    let x = simd.splat(0.125) * bounded(exponent, SNOW_HARDENING_EXPONENTS);
+    let x = simd.splat(0.125) * simd.clamp(exponent, SNOW_HARDENING_EXPONENTS);
     let [first, rest @ ..] = SNOW_HARDENING_SERIES;
     let mut eighth = simd.splat(first);
     for coefficient in rest {
@@ -220,5 +213,5 @@ fn hardening<S: Simd>(simd: S, plastic: S::Lanes) -> S::Lanes {
     }
     let fourth = eighth * eighth;
     let half = fourth * fourth;
-    bounded(half * half, SNOW_HARDENING_RANGE)
+    simd.clamp(half * half, SNOW_HARDENING_RANGE)
 }

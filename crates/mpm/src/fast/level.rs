@@ -19,7 +19,8 @@ enum Instructions {
 }
 
 /// A computation that is compiled for every set of instructions. `run` and everything that it calls must be
-/// `#[inline(always)]`, or the compiler does not use the instructions.
+/// `#[inline(always)]`, or the compiler does not use the instructions. A closure cannot be, so one that is called more than once, or
+/// by `array::map`, has no place in it.
 pub(super) trait Work {
     type Output;
 

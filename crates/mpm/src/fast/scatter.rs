@@ -23,13 +23,19 @@ pub(super) fn prepare<S: Simd>(
     scratch: &mut Scratch,
 ) {
     let (impulse, dx) = (simd.splat(step.impulse), simd.splat(step.dx));
-    let affine = |k: usize, stress: S::Lanes| (impulse * stress + simd.load(&pack.affine[k])) * dx;
-    let along_x = [affine(0, stress[0]), affine(2, stress[1])];
-    let along_y = [affine(1, stress[1]), affine(3, stress[2])];
+    let [xx, xy, yy] = *stress;
+    let mut affine = [xx, xy, xy, yy];
+    for (affine, c) in affine.iter_mut().zip(&pack.affine) {
+        *affine = (impulse * *affine + simd.load(c)) * dx;
+    }
+    let along_x = [affine[0], affine[2]];
+    let along_y = [affine[1], affine[3]];
     let [fx, fy] = stencils.offset;
-    let lowest =
-        |axis: usize| simd.load(&pack.velocity[axis]) - along_x[axis] * fx - along_y[axis] * fy;
-    simd.store_vectors([lowest(0), lowest(1)], &mut scratch.vectors[0]);
+    let mut lowest = [simd.load(&pack.velocity[0]), simd.load(&pack.velocity[1])];
+    for axis in 0..2 {
+        lowest[axis] = lowest[axis] - along_x[axis] * fx - along_y[axis] * fy;
+    }
+    simd.store_vectors(lowest, &mut scratch.vectors[0]);
     simd.store_vectors(along_x, &mut scratch.vectors[1]);
     simd.store_vectors(along_y, &mut scratch.vectors[2]);
     for i in 0..3 {

@@ -64,6 +64,18 @@ pub(super) trait Simd: Copy {
     fn select(self, mask: Self::Mask, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
     /// Number of lanes in which the mask is true.
     fn count(self, mask: Self::Mask) -> usize;
+    /// Where `from <= x < to`. False for NaN.
+    #[inline(always)]
+    fn within(self, x: Self::Lanes, [from, to]: [f32; 2]) -> Self::Mask {
+        self.less(x, self.splat(to)) & self.at_least(x, self.splat(from))
+    }
+    /// The nearest number in this range. NaN for NaN.
+    #[inline(always)]
+    fn clamp(self, x: Self::Lanes, [lowest, highest]: [f32; 2]) -> Self::Lanes {
+        let (lowest, highest) = (self.splat(lowest), self.splat(highest));
+        let x = self.select(self.less(x, lowest), lowest, x);
+        self.select(self.less(highest, x), highest, x)
+    }
     /// Truncates numbers between -2^31 and 2^31, to floats and integers.
     fn truncate(self, value: Self::Lanes) -> (Self::Lanes, [i32; LANES]);
 
