@@ -122,14 +122,17 @@ const sizeOf = (png) => [png.readUInt32BE(16), png.readUInt32BE(20)];
 const VIRIDIS = [[68, 1, 84], [59, 81, 139], [33, 144, 141], [92, 200, 99], [253, 231, 37]];
 const GHOST = [185, 192, 201];
 const LIQUID = [0, 114, 178];
-const JELLY = [230, 159, 0];
+/** Liquid, snow, jelly, rope. */
+const MATERIALS = [LIQUID, [86, 180, 233], [230, 159, 0], [213, 94, 0]];
+/** The share of an element's pixels that have the colour of a material. */
+const matter = async (page, selector, near) => (await colours(page, selector, MATERIALS, near)).reduce((sum, share) => sum + share);
 const metric = (page, name) => page.locator(`dd[data-name="${name}"]`).first().textContent({ timeout: DEADLINE });
 const caption = (page, side) => page.locator(`#${side} .when`).textContent();
 const frame = async (page) => Number((await caption(page, "truth")).match(/frame (\d+)/)?.[1] ?? -1);
 const open = (page) => until("the page is connected", async () => (await page.locator("#connection").getAttribute("data-state")) === "open");
 const draws = (page) => until("both sides are drawn", async () => {
-  const sides = await Promise.all(["#truth .plot", "#prediction .plot"].map((plot) => colours(page, plot, [LIQUID, JELLY])));
-  return sides.every(([liquid, jelly]) => liquid > 0.01 && jelly > 0.01) && sides;
+  const sides = await Promise.all(["#truth .plot", "#prediction .plot"].map((plot) => matter(page, plot)));
+  return sides.every((share) => share > 0.02) && sides;
 });
 const snap = (page, name) => pictures && page.screenshot({ path: join(pictures, `${name}.png`), fullPage: true });
 
@@ -140,8 +143,8 @@ try {
   await open(page);
 
   const [truth, prediction] = await draws(page);
-  console.log(`draws: liquid and jelly cover ${truth.map((share) => (100 * share).toFixed(1))} % of the truth, `
-    + `${prediction.map((share) => (100 * share).toFixed(1))} % of the prediction`);
+  const percent = (share) => `${(100 * share).toFixed(1)} %`;
+  console.log(`draws: matter covers ${percent(truth)} of the truth, ${percent(prediction)} of the prediction`);
   await until("a prediction meets its truth", async () => /error/.test(await page.locator("#error-time").getAttribute("aria-label")));
   await sleep(3000);
   await snap(page, "light");
@@ -201,8 +204,7 @@ try {
     await page.locator("#colour").selectOption(colour);
     await until(`it is coloured by ${colour}, in many colours`, async () => {
       const shares = await colours(page, "#prediction .plot", VIRIDIS, 60);
-      const [liquid, jelly] = await colours(page, "#prediction .plot", [LIQUID, JELLY], 15);
-      return shares.filter((share) => share > 0.002).length >= 3 && liquid + jelly < 0.05;
+      return shares.filter((share) => share > 0.002).length >= 3 && await matter(page, "#prediction .plot", 15) < 0.05;
     });
     const limits = await Promise.all(["#low", "#high"].map(async (field) => Number(await page.locator(field).inputValue())));
     assert.ok(limits[0] < limits[1], `limits ${limits}`);
@@ -285,7 +287,7 @@ try {
   assert.ok(kept > 0 && kept < 20.5, `${kept} s are kept`);
 
   // Zoom and pan: wheel, dragging, keys, double click.
-  const covered = async () => (await colours(page, "#truth .plot", [LIQUID, JELLY])).reduce((sum, share) => sum + share);
+  const covered = () => matter(page, "#truth .plot");
   const plot = await page.locator("#truth .plot").boundingBox();
   const zoom = async () => Number((await page.locator("#unzoom").textContent()).match(/^([\d.]+)×/)?.[1] ?? 1);
   await page.keyboard.press("Space");
