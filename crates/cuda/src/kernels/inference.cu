@@ -163,8 +163,9 @@ extern "C" __global__ void gru_streams(const float* __restrict__ parts, const fl
     x[gate] = product_sum(parts, count, batch, b, 3 * HP, gate * HP + j);
     y[gate] = product_sum(recurrent, count, batch, b, 3 * HP, gate * HP + j);
   }
-  const float r = sigmoid(x[0] + y[0]), z = sigmoid(x[1] + y[1]), n = hyperbolic_tangent(fmaf(r, y[2], x[2]));
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, fmaf(z, states[at] - n, n));
+  x[0] += y[0];
+  x[1] += y[1];
+  signal[at] = rows[b].state[layer * HP + j] = padded(j, gru(x[0], x[1], x[2], y[2], states[at]));
 }
 extern "C" __global__ void lstm_streams(const float* __restrict__ parts, const float* __restrict__ recurrent, const Row* __restrict__ rows,
     float* __restrict__ signal, int count, int layer, int layers) {
@@ -174,9 +175,10 @@ extern "C" __global__ void lstm_streams(const float* __restrict__ parts, const f
   for (int gate = 0; gate < 4; gate++)
     gates[gate] = product_sum(parts, count, batch, b, 4 * HP, gate * HP + j) + product_sum(recurrent, count, batch, b, 4 * HP, gate * HP + j);
   float* cell = rows[b].state + (size_t)(layers + layer) * HP + j;
-  const float c = j < H ? fmaf(sigmoid(gates[1]), *cell, sigmoid(gates[0]) * hyperbolic_tangent(gates[2])) : 0.0f;
-  *cell = c;
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, sigmoid(gates[3]) * hyperbolic_tangent(c));
+  float c = *cell;
+  const float h = lstm(gates[0], gates[1], gates[2], gates[3], c);
+  *cell = j < H ? c : 0.0f;
+  signal[at] = rows[b].state[layer * HP + j] = padded(j, h);
 }
 
 // The next frames, to the memory of the host. grid (ceil(N / 256), B), block 256

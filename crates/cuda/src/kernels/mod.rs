@@ -17,6 +17,7 @@ pub const SOURCE: &str = concat!(
     include_str!("windows.cu"),
     include_str!("motion.cu"),
     include_str!("encoder.cu"),
+    include_str!("cell.cu"),
     include_str!("cells.cu"),
     include_str!("frame_loss.cu"),
     include_str!("batch_loss.cu"),
@@ -29,6 +30,7 @@ pub const SOURCE: &str = concat!(
 pub const PARTICLE_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
+    include_str!("cell.cu"),
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
@@ -39,6 +41,7 @@ pub const PARTICLE_SOURCE: &str = concat!(
 pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("base.cu"),
     include_str!("common.cu"),
+    include_str!("cell.cu"),
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),

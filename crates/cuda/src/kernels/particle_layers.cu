@@ -345,22 +345,6 @@ extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stre
   }
 }
 
-// Candidates of the log form are made positive (Feng et al. 2024, appendix B).
-__device__ __forceinline__ float positive_candidate(float c) {
-#if LOG_FORM
-  return c > 0.0f ? c + 0.5f : sigmoid(c);
-#else
-  return c;
-#endif
-}
-__device__ __forceinline__ float positive_slope(float c) {
-#if LOG_FORM
-  const float s = sigmoid(c);
-  return c >= 0.0f ? 1.0f : s * (1.0f - s);
-#else
-  return 1.0f;
-#endif
-}
 #if CORE == 0
 #define GATES 1
 #elif CORE == 1
@@ -375,28 +359,18 @@ __device__ __forceinline__ float positive_slope(float c) {
 #define UNITS (GATE_SUMS > 2 ? 2 : 4)
 #define CORE_COLUMNS (GATES * H4)
 #define CORE_MATRIX ((H4 + 1) * CORE_COLUMNS)
-#define MIN_GATE_SUM 1e-12f
-// The new state of a unit from its sums, its last output and its cell.
-__device__ __forceinline__ float unit_state(const float* sums, float last, float* cell) {
+// The new state of a unit from its sums, its last output and its cell; what the way back needs takes the place of the sums.
+__device__ __forceinline__ float unit_forward(float* sums, float last, float* cell) {
 #if CORE == 0
   return activate(sums[0]);
 #elif CORE == 1
-  const float z = sigmoid(sums[0]);
-  return fmaf(1.0f - z, last, z * positive_candidate(sums[1]));
+  return mingru(sums[0], sums[1], last);
 #elif CORE == 2
-  const float f = sigmoid(sums[0]), i = sigmoid(sums[1]), c = positive_candidate(sums[2]);
-#if NORMALIZED
-  const float u = divide(i, f + i + MIN_GATE_SUM);
-  return fmaf(1.0f - u, last, u * c);
-#else
-  return fmaf(f, last, i * c);
-#endif
+  return minlstm(sums[0], sums[1], sums[2], last);
 #elif CORE == 3
-  const float r = sigmoid(sums[0]), z = sigmoid(sums[1]), n = hyperbolic_tangent(fmaf(r, sums[3], sums[2]));
-  return fmaf(z, last - n, n);
+  return gru(sums[0], sums[1], sums[2], sums[3], last);
 #else
-  *cell = fmaf(sigmoid(sums[0]), hyperbolic_tangent(sums[2]), sigmoid(sums[1]) * *cell);
-  return sigmoid(sums[3]) * hyperbolic_tangent(*cell);
+  return lstm(sums[0], sums[1], sums[2], sums[3], *cell);
 #endif
 }
 
@@ -499,7 +473,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
             float* own = s.hidden + ((size_t)(LAYERS + layer) * n + (place < count ? s.order[begin + place] : 0)) * H4 + unit + u;
             if (place < count) cell = *own;
 #endif
-            y[place * y_stride + unit + u] = unit_state(gates, last, &cell);
+            y[place * y_stride + unit + u] = unit_forward(gates, last, &cell);
 #if CORE == 4
             if (place < count) *own = cell;
 #endif

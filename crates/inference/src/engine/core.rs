@@ -11,9 +11,9 @@ use super::linear::{Linear, add_products, load};
 use crate::{
     checkpoint::{Activation, Core, Description, Form, Weights, layout},
     kernels::{
-        gru,
-        math::{elu, positive, relu, sigmoid, tanh},
-        minimal::MIN_GATE_SUM,
+        gru, lstm,
+        math::{elu, relu, sigmoid, tanh},
+        minimal::Minimal,
     },
 };
 
@@ -21,8 +21,8 @@ use crate::{
 #[derive(Debug)]
 pub(super) struct CoreLayer {
     core: Core,
-    form: Form,
-    normalize_gates: bool,
+    /// The variant of the minimal recurrences.
+    pub(super) minimal: Minimal,
     activation: Activation,
     /// Products with the layer's input, gate by gate.
     input: Vec<Linear>,
@@ -55,8 +55,7 @@ impl CoreLayer {
         let Description { form, normalize_gates, frame, .. } = description;
         Self {
             core,
-            form: *form,
-            normalize_gates: *normalize_gates,
+            minimal: Minimal { log: *form == Form::Log, normalize: *normalize_gates },
             activation: frame.activation,
             input,
             hidden,
@@ -121,7 +120,7 @@ impl CoreLayer {
                 let [gate, candidate] = self.gates::<S, 2, R, K>(simd, panel, inputs);
                 for r in 0..R {
                     let last = load(simd, &hidden[r][units.clone()]);
-                    next.hidden[r] = self.minimal(simd, [gate[r], candidate[r]], last);
+                    next.hidden[r] = self.minimal.next(simd, [gate[r], candidate[r]], last);
                 }
             }
             Core::MinLstm => {
@@ -129,7 +128,7 @@ impl CoreLayer {
                 for r in 0..R {
                     let last = load(simd, &hidden[r][units.clone()]);
                     let sums = [forget[r], input[r], candidate[r]];
-                    next.hidden[r] = self.minimal(simd, sums, last);
+                    next.hidden[r] = self.minimal.next(simd, sums, last);
                 }
             }
             Core::Gru => {
@@ -154,51 +153,14 @@ impl CoreLayer {
                     add_products::<S, 4, R, K>(simd, self.recurrent(panel), hidden, sums);
                 let mut cell = [simd.splat_f32s(0.0); R];
                 for r in 0..R {
+                    let sums = [input[r], forget[r], candidate[r], output[r]];
                     let last = load(simd, &cells[r][units.clone()]);
-                    let kept = simd.mul_f32s(sigmoid(simd, forget[r]), last);
-                    let (input, candidate) = (sigmoid(simd, input[r]), tanh(simd, candidate[r]));
-                    cell[r] = simd.mul_add_e_f32s(input, candidate, kept);
-                    next.hidden[r] = simd.mul_f32s(sigmoid(simd, output[r]), tanh(simd, cell[r]));
+                    [.., next.hidden[r], cell[r]] = lstm::cell(simd, sums, last);
                 }
                 next.cell = Some(cell);
             }
         }
         next
-    }
-
-    /// The new output of a minimal core from its last one and the sums of its gates, in the order of the checkpoint.
-    #[inline(always)]
-    pub(super) fn minimal<S: Simd, const G: usize>(
-        &self,
-        simd: S,
-        sums: [S::f32s; G],
-        last: S::f32s,
-    ) -> S::f32s {
-        match *sums.as_slice() {
-            [gate, candidate] => {
-                let update = sigmoid(simd, gate);
-                let kept = simd.sub_f32s(simd.splat_f32s(1.0), update);
-                self.mix(simd, kept, last, update, candidate)
-            }
-            [forget, input, candidate] => {
-                let (kept, update) = self.normalized(simd, forget, input);
-                self.mix(simd, kept, last, update, candidate)
-            }
-            _ => unreachable!("minGRU has two gates, minLSTM three"),
-        }
-    }
-
-    /// minLSTM's gates f and i, divided by their sum if the checkpoint says so.
-    #[inline(always)]
-    fn normalized<S: Simd>(&self, simd: S, forget: S::f32s, input: S::f32s) -> (S::f32s, S::f32s) {
-        let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
-        if !self.normalize_gates {
-            return (forget, input);
-        }
-        let sum = simd.add_f32s(forget, input);
-        let sum = simd.add_f32s(sum, simd.splat_f32s(MIN_GATE_SUM));
-        let update = simd.div_f32s(input, sum);
-        (simd.sub_f32s(simd.splat_f32s(1.0), update), update)
     }
 
     /// The G sums over the input.
@@ -240,23 +202,6 @@ impl CoreLayer {
             *weights = linear.panel(panel);
         }
         panels
-    }
-
-    /// `kept` h + `update` c; in the log form, `kept` h + `update` g(c).
-    #[inline(always)]
-    fn mix<S: Simd>(
-        &self,
-        simd: S,
-        kept: S::f32s,
-        last: S::f32s,
-        update: S::f32s,
-        candidate: S::f32s,
-    ) -> S::f32s {
-        let candidate = match self.form {
-            Form::Plain => candidate,
-            Form::Log => positive(simd, candidate),
-        };
-        simd.mul_add_e_f32s(kept, last, simd.mul_f32s(update, candidate))
     }
 }
 

@@ -198,7 +198,7 @@ impl<const G: usize> PairSink for Gates<'_, G> {
         for (gate, sums) in gates.iter_mut().zip(sums) {
             *gate = cast(*sums);
         }
-        let next = layer.minimal(wide, gates, load(wide, hidden));
+        let next = layer.minimal.next(wide, gates, load(wide, hidden));
         store(wide, hidden, next);
         simd.round(next, &mut pairs.as_chunks_mut().0[(row * block.width + unit) / LANES]);
     }

@@ -152,6 +152,15 @@ impl Lstm<'_> {
     }
 }
 
+/// The gates i, f, g, o, the new output and the new cell, from the sums of the gates and the previous cell.
+#[inline(always)]
+pub(crate) fn cell<S: Simd>(simd: S, [i, f, g, o]: [S::f32s; 4], last: S::f32s) -> [S::f32s; 6] {
+    let (i, f, o) = (sigmoid(simd, i), sigmoid(simd, f), sigmoid(simd, o));
+    let g = tanh(simd, g);
+    let cell = simd.mul_add_e_f32s(f, last, simd.mul_f32s(i, g));
+    [i, f, g, o, simd.mul_f32s(o, tanh(simd, cell)), cell]
+}
+
 struct Forward<'a> {
     /// In: sums; out: activated gates.
     gates: &'a mut [f32],
@@ -171,12 +180,7 @@ impl WithSimd for Forward<'_> {
             [self.cell],
             [i, f, g, o, self.output, self.next],
             #[inline(always)]
-            |[cell], [i, f, g, o, _, _]| {
-                let (i, f, o) = (sigmoid(simd, i), sigmoid(simd, f), sigmoid(simd, o));
-                let g = tanh(simd, g);
-                let cell = simd.mul_add_e_f32s(f, cell, simd.mul_f32s(i, g));
-                [i, f, g, o, simd.mul_f32s(o, tanh(simd, cell)), cell]
-            },
+            |[last], [i, f, g, o, _, _]| cell(simd, [i, f, g, o], last),
         );
     }
 }

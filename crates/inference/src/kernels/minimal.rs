@@ -117,12 +117,36 @@ impl Minimal {
         [value, simd.select_f32s(above, one, below)]
     }
 
-    /// minGRU: h + z (c - h).
+    /// The new state from the sums of the gates and of the candidate, in the order of the checkpoint, and the last state: minGRU's
+    /// (1 - z) h + z c, minLSTM's f h + i c, or (1 - u) h + u c with u = i / (f + i).
     #[inline(always)]
-    fn mingru<S: Simd>(self, simd: S, gate: S::f32s, c: S::f32s, before: S::f32s) -> S::f32s {
-        let [candidate, _] = self.candidate(simd, c);
-        let change = simd.sub_f32s(candidate, before);
-        simd.mul_add_e_f32s(sigmoid(simd, gate), change, before)
+    pub(crate) fn next<S: Simd, const G: usize>(
+        self,
+        simd: S,
+        sums: [S::f32s; G],
+        last: S::f32s,
+    ) -> S::f32s {
+        let one = simd.splat_f32s(1.0);
+        let (kept, update, candidate) = match *sums.as_slice() {
+            [gate, candidate] => {
+                let update = sigmoid(simd, gate);
+                (simd.sub_f32s(one, update), update, candidate)
+            }
+            [forget, input, candidate] => {
+                let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
+                if self.normalize {
+                    let sum =
+                        simd.add_f32s(simd.add_f32s(forget, input), simd.splat_f32s(MIN_GATE_SUM));
+                    let update = simd.div_f32s(input, sum);
+                    (simd.sub_f32s(one, update), update, candidate)
+                } else {
+                    (forget, input, candidate)
+                }
+            }
+            _ => unreachable!("minGRU has two gates, minLSTM three"),
+        };
+        let [candidate, _] = self.candidate(simd, candidate);
+        simd.mul_add_e_f32s(kept, last, simd.mul_f32s(update, candidate))
     }
 
     /// minGRU: the gradients by the previous state, the gate and the candidate, from that by the state.
@@ -143,26 +167,6 @@ impl Minimal {
             simd.mul_f32s(by_update, simd.mul_f32s(update, kept)),
             simd.mul_f32s(by_candidate, derivative),
         ]
-    }
-
-    /// minLSTM: f h + i c, or h + i / (f + i) (c - h) with normalised gates.
-    #[inline(always)]
-    fn minlstm<S: Simd>(
-        self,
-        simd: S,
-        [forget, input]: [S::f32s; 2],
-        c: S::f32s,
-        before: S::f32s,
-    ) -> S::f32s {
-        let [candidate, _] = self.candidate(simd, c);
-        let (forget, input) = (sigmoid(simd, forget), sigmoid(simd, input));
-        if !self.normalize {
-            return simd.mul_add_e_f32s(forget, before, simd.mul_f32s(input, candidate));
-        }
-        let sum = simd.add_f32s(forget, input);
-        let sum = simd.add_f32s(sum, simd.splat_f32s(MIN_GATE_SUM));
-        let change = simd.sub_f32s(candidate, before);
-        simd.mul_add_e_f32s(simd.div_f32s(input, sum), change, before)
     }
 
     /// minLSTM: the gradients by the previous state, both gates and the candidate, from that by the state.
@@ -258,8 +262,8 @@ impl<const G: usize> WithSimd for Forward<'_, G> {
                 #[inline(always)]
                 |[first, second, candidate, before], _| {
                     [match G {
-                        1 => kind.mingru(simd, first, candidate, before),
-                        _ => kind.minlstm(simd, [first, second], candidate, before),
+                        1 => kind.next(simd, [first, candidate], before),
+                        _ => kind.next(simd, [first, second, candidate], before),
                     }]
                 },
             );

@@ -45,37 +45,13 @@ __device__ __forceinline__ float unit_gradient(float* sums, float by, float last
   sums[0] = by * activation_slope(output);
   return 0.0f;
 #elif CORE == 1
-  const float z = sigmoid(sums[0]), c = positive_candidate(sums[1]);
-  sums[0] = by * (c - last) * z * (1.0f - z);
-  sums[1] = by * z * positive_slope(sums[1]);
-  return by * (1.0f - z);
+  return mingru_gradient(sums[0], sums[1], last, by);
 #elif CORE == 2
-  const float f = sigmoid(sums[0]), i = sigmoid(sums[1]), c = positive_candidate(sums[2]);
-#if NORMALIZED
-  const float inverse = divide(1.0f, f + i + MIN_GATE_SUM), u = i * inverse, by_share = by * (c - last) * inverse;
-  const float by_f = -by_share * u, by_i = by_share * (1.0f - u), by_c = by * u, before = by * (1.0f - u);
-#else
-  const float by_f = by * last, by_i = by * c, by_c = by * i, before = by * f;
-#endif
-  sums[0] = by_f * f * (1.0f - f);
-  sums[1] = by_i * i * (1.0f - i);
-  sums[2] = by_c * positive_slope(sums[2]);
-  return before;
+  return minlstm_gradient(sums[0], sums[1], sums[2], last, by);
 #elif CORE == 3
-  const float r = sums[0], z = sums[1], n = sums[2], by_n = by * (1.0f - z) * (1.0f - n * n);
-  sums[0] = by_n * sums[3] * r * (1.0f - r);
-  sums[1] = by * (last - n) * z * (1.0f - z);
-  sums[2] = by_n;
-  sums[3] = by_n * r;
-  return by * z;
+  return gru_gradient(sums[0], sums[1], sums[2], sums[3], last, by);
 #else
-  const float i = sums[0], f = sums[1], g = sums[2], o = sums[3], t = hyperbolic_tangent(cell);
-  const float by_c = fmaf(by * o, 1.0f - t * t, *by_cell);
-  sums[0] = by_c * g * i * (1.0f - i);
-  sums[1] = by_c * cell_before * f * (1.0f - f);
-  sums[2] = by_c * i * (1.0f - g * g);
-  sums[3] = by * t * o * (1.0f - o);
-  *by_cell = by_c * f;
+  lstm_gradient(sums[0], sums[1], sums[2], sums[3], cell_before, cell, by, *by_cell);
   return 0.0f;
 #endif
 }

@@ -95,25 +95,6 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode(const P
 #define MIXER_SIZE ROUND64((H4 + 1) * H4)
 #define SLOTS (GATE_SUMS * H4)
 
-// A unit from its sums: what the way back needs in the place of the sums, the new state, and of LSTM the cell.
-__device__ __forceinline__ float unit_forward(float* sums, float last, float* cell) {
-#if CORE == 3
-  sums[0] = sigmoid(sums[0]);
-  sums[1] = sigmoid(sums[1]);
-  sums[2] = hyperbolic_tangent(fmaf(sums[0], sums[3], sums[2]));
-  return fmaf(sums[1], last - sums[2], sums[2]);
-#elif CORE == 4
-  sums[0] = sigmoid(sums[0]);
-  sums[1] = sigmoid(sums[1]);
-  sums[2] = hyperbolic_tangent(sums[2]);
-  sums[3] = sigmoid(sums[3]);
-  *cell = fmaf(sums[1], *cell, sums[0] * sums[2]);
-  return sums[3] * hyperbolic_tangent(*cell);
-#else
-  return unit_state(sums, last, cell);
-#endif
-}
-
 // Gather from the nodes, context, core and decoder, for some frames of all windows, one after the other. `w` has the transposed
 // matrices of context, core (input, then recurrent), mixer and decoder one behind the other.
 // grid (ceil(most / (LEARN_WARPS WARP_ROWS)), B), block LEARN_THREADS, shared memory: of each row the input or the core's sums, two lists
