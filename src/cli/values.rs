@@ -80,7 +80,7 @@ impl NetworkDevice {
 /// The number of an NVIDIA GPU, beside devices of other names.
 #[cfg(feature = "cuda")]
 fn gpu(text: &str, others: &str) -> Result<u8, String> {
-    use eddy_learning::model::{MOST_GPUS, gpu_number};
+    use eddy_cuda::{MOST_GPUS, gpu_number};
     let expected = || format!("expected {others}, cuda or cuda:N, N up to {}", MOST_GPUS - 1);
     gpu_number(text).ok_or_else(expected)
 }

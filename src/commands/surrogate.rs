@@ -32,7 +32,7 @@ pub(super) fn on_device(
         NetworkDevice::Cpu(precision) => Surrogate::load_in(checkpoint, threads, precision),
         #[cfg(feature = "cuda")]
         NetworkDevice::Cuda(number) => {
-            eddy_learning::model::load_on_gpu(checkpoint, threads, number.into())
+            eddy_cuda::load_surrogate(checkpoint, threads, number.into())
         }
     }
 }

@@ -14,7 +14,7 @@ use eddy_evaluation::{
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Checkpoint, Description};
 use eddy_learning::{
-    model::{Architecture, DeviceKind, GpuOptions, kernel_cache},
+    model::{Architecture, DeviceKind, GpuOptions},
     ranks::{Process, ProcessOptions, Timing},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
@@ -69,7 +69,6 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         args.gpus,
         device.name()
     );
-    let kernel_cache = kernel_cache();
     let dataset = load(&args, quiet)?;
     if leads {
         let warnings = data_warnings(&config, &dataset, start.as_ref());
@@ -89,7 +88,6 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             gpu: GpuOptions {
                 count: args.gpus,
                 precision: args.precision,
-                kernel_cache: kernel_cache.as_deref(),
                 process: process.as_ref().map(|process| ProcessOptions {
                     process,
                     timing: Timing {

@@ -83,9 +83,7 @@ fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
     match device {
         ComputeDevice::Cpu => Ok(None),
         #[cfg(feature = "cuda")]
-        ComputeDevice::Cuda(number) => {
-            Ok(Some(Box::new(eddy_learning::model::open_solver(number.into())?)))
-        }
+        ComputeDevice::Cuda(number) => Ok(Some(Box::new(eddy_cuda::open_solver(number.into())?))),
     }
 }
 

@@ -13,7 +13,7 @@ use crate::bench::training::{
 use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
 use eddy_learning::{
-    model::{Core, GpuOptions, kernel_cache},
+    model::{Core, GpuOptions},
     train::step_benchmark::{GPU_CORE_PARTICLES, PARTICLES, Part},
 };
 use eddy_settings::ensure_usage;
@@ -35,12 +35,7 @@ pub fn run(
     ensure_usage!(args.windows > 0, "windows: found 0, expected at least 1");
     let device = args.device.resolve(true);
     device.check()?;
-    let cache = kernel_cache();
-    let gpu = GpuOptions {
-        precision: args.precision,
-        kernel_cache: cache.as_deref(),
-        ..GpuOptions::default()
-    };
+    let gpu = GpuOptions { precision: args.precision, ..GpuOptions::default() };
     let steps =
         if args.step.is_empty() { paper_steps(&FRAMES[..1], &FRAMES) } else { args.step.clone() };
     progress.begin(steps.len() as u64, "steps");

@@ -20,6 +20,8 @@ use super::{
     command_lines::{CommandLines, shown},
     learning_curves, step_times, training, write,
 };
+#[cfg(feature = "cuda")]
+use eddy_cuda::{load_surrogate, open_solver};
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Report, Role, Settings,
     dataset::{
@@ -33,10 +35,8 @@ use eddy_inference::{
     checkpoint::Checkpoint,
     engine::{ModelError, Surrogate},
 };
-#[cfg(feature = "cuda")]
-use eddy_learning::model::{load_on_gpu, open_solver};
 use eddy_learning::{
-    model::{DeviceKind, GpuOptions, Precision, kernel_cache},
+    model::{DeviceKind, GpuOptions, Precision},
     train::TrainConfig,
 };
 use eddy_mpm::Accelerator;
@@ -149,7 +149,7 @@ pub(crate) fn solvers(device: DeviceKind) -> anyhow::Result<Option<Box<dyn Accel
 pub(super) fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Surrogate, ModelError> {
     match device {
         #[cfg(feature = "cuda")]
-        DeviceKind::Cuda(number) => load_on_gpu(checkpoint, None, number.into()),
+        DeviceKind::Cuda(number) => load_surrogate(checkpoint, None, number.into()),
         _ => Surrogate::load(checkpoint, Some(NonZeroUsize::MIN)),
     }
 }
@@ -169,8 +169,6 @@ pub(super) struct Work<'a> {
     pub(super) gpus: usize,
     /// Precision of products on a GPU.
     pub(super) precision: Precision,
-    /// Folder of compiled kernels.
-    kernel_cache: Option<PathBuf>,
     pub(super) progress: &'a dyn Progress,
     /// Set when a task has failed, to stop the others.
     failed: AtomicBool,
@@ -193,7 +191,6 @@ impl<'a> Work<'a> {
             device: checked_device(request)?,
             gpus: gpus.get(),
             precision: *precision,
-            kernel_cache: kernel_cache(),
             progress,
             failed: AtomicBool::new(false),
         })
@@ -206,11 +203,7 @@ impl<'a> Work<'a> {
 
     /// How a single GPU is used.
     pub(super) fn gpu(&self) -> GpuOptions<'_> {
-        GpuOptions {
-            precision: self.precision,
-            kernel_cache: self.kernel_cache.as_deref(),
-            ..GpuOptions::default()
-        }
+        GpuOptions { precision: self.precision, ..GpuOptions::default() }
     }
 
     /// The device of a network or curve by its number, always the same.

@@ -1,26 +1,10 @@
 //! The compute devices.
 
-#[cfg(feature = "cuda")]
-use std::sync::Arc;
-use std::{
-    num::NonZeroUsize,
-    panic,
-    path::{Path, PathBuf},
-};
+use std::{num::NonZeroUsize, panic};
 
 use burn::tensor::{Device, Tensor};
 #[cfg(feature = "cuda")]
-use eddy_cuda::{
-    frame,
-    gpu::{self, Gpu},
-    kernels, particle,
-    solver::{self, Solvers},
-};
-#[cfg(feature = "cuda")]
-use eddy_inference::{
-    checkpoint::{Architecture, Checkpoint},
-    engine::{Accelerator, ModelError, Surrogate},
-};
+use eddy_cuda::{MOST_GPUS, gpu, gpu_number};
 use serde::{Deserialize, Serialize};
 
 use crate::ranks::ProcessOptions;
@@ -44,25 +28,11 @@ pub enum DeviceKind {
     Auto,
 }
 
-/// GPUs of a machine that can be chosen.
-#[cfg(feature = "cuda")]
-pub const MOST_GPUS: usize = 16;
-
 #[cfg(feature = "cuda")]
 const CUDA_NAMES: [&str; MOST_GPUS] = [
     "cuda", "cuda:1", "cuda:2", "cuda:3", "cuda:4", "cuda:5", "cuda:6", "cuda:7", "cuda:8",
     "cuda:9", "cuda:10", "cuda:11", "cuda:12", "cuda:13", "cuda:14", "cuda:15",
 ];
-
-/// The number of the NVIDIA GPU that a device's name means: `cuda` or `cuda:N`, N below [`MOST_GPUS`].
-#[cfg(feature = "cuda")]
-pub fn gpu_number(name: &str) -> Option<u8> {
-    let number = match name.strip_prefix("cuda")? {
-        "" => 0,
-        number => number.strip_prefix(':')?.parse().ok()?,
-    };
-    (usize::from(number) < MOST_GPUS).then_some(number)
-}
 
 /// Every device that this build knows, in the order of the help.
 const ALL: &[DeviceKind] = &[
@@ -285,8 +255,6 @@ pub struct GpuOptions<'a> {
     pub count: NonZeroUsize,
     /// How they multiply.
     pub precision: Precision,
-    /// Folder that compiled kernels are kept in, none to compile them each time.
-    pub kernel_cache: Option<&'a Path>,
     /// This process among several that train together, each on one GPU: that of the device's number plus the
     /// process's number on its host.
     pub process: Option<ProcessOptions<'a>>,
@@ -300,69 +268,10 @@ impl GpuOptions<'_> {
 }
 
 impl Default for GpuOptions<'_> {
-    /// One GPU, in TF32, without a folder.
+    /// One GPU, in TF32.
     fn default() -> Self {
-        Self {
-            count: NonZeroUsize::MIN,
-            precision: Precision::default(),
-            kernel_cache: None,
-            process: None,
-        }
+        Self { count: NonZeroUsize::MIN, precision: Precision::default(), process: None }
     }
-}
-
-/// The folder that eddy's commands keep compiled kernels in: in the user's cache folder, if there is one.
-pub fn kernel_cache() -> Option<PathBuf> {
-    Some(dirs::cache_dir()?.join("eddy").join("kernels"))
-}
-
-/// The GPU of this number with the kernels of a program, all products in FP32; compiled kernels are kept in [`kernel_cache`].
-///
-/// # Errors
-/// [`CudaError`](eddy_cuda::CudaError) when the GPU or a library is not there.
-#[cfg(feature = "cuda")]
-pub fn open_gpu(number: usize, program: &dyn kernels::Program) -> eddy_cuda::Result<Arc<Gpu>> {
-    let cache = kernel_cache();
-    Gpu::new(number, program, gpu::Precision::Fp32, cache.as_deref()).map(Into::into)
-}
-
-/// The MPM solver on the GPU of this number.
-///
-/// # Errors
-/// As [`open_gpu`].
-#[cfg(feature = "cuda")]
-pub fn open_solver(number: usize) -> eddy_cuda::Result<Solvers> {
-    Ok(Solvers::new(open_gpu(number, &solver::Constants)?, number))
-}
-
-/// A checkpoint on the GPU of this number, with so many threads that copy frames to it and back, by default one per core.
-///
-/// # Errors
-/// [`ModelError`] of the checkpoint, or [`ModelError::Device`].
-#[cfg(feature = "cuda")]
-pub fn load_on_gpu(
-    checkpoint: &Checkpoint,
-    threads: Option<NonZeroUsize>,
-    number: usize,
-) -> Result<Surrogate, ModelError> {
-    let open = move |Checkpoint { description, tensors, .. }: &Checkpoint| {
-        let streams = || -> eddy_cuda::Result<Arc<dyn Accelerator>> {
-            Ok(match description.architecture {
-                Architecture::Frame => {
-                    let gpu = open_gpu(number, &kernels::Constants::of(description)?)?;
-                    let inference = frame::Inference::new(gpu, description, tensors)?;
-                    Arc::new(frame::Streams::new(inference.with_threads(threads)))
-                }
-                Architecture::Particle => {
-                    let gpu = open_gpu(number, &particle::Constants::of(description)?)?;
-                    let inference = particle::Inference::new(gpu, description, tensors)?;
-                    Arc::new(particle::Streams::new(inference.with_threads(threads)))
-                }
-            })
-        };
-        streams().map_err(|reason| ModelError::Device(reason.to_string()))
-    };
-    Surrogate::on_devices(checkpoint, open)
 }
 
 /// The device is not available.

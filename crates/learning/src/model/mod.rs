@@ -48,11 +48,7 @@ pub(crate) mod strain;
 
 mod device;
 
-pub use device::{DeviceKind, GpuOptions, NoDevice, Precision, kernel_cache};
-#[cfg(feature = "cuda")]
-pub use device::{MOST_GPUS, gpu_number};
-#[cfg(feature = "cuda")]
-pub use device::{load_on_gpu, open_gpu, open_solver};
+pub use device::{DeviceKind, GpuOptions, NoDevice, Precision};
 pub use reference::Reference;
 
 pub use eddy_inference::checkpoint::{Architecture, Core};

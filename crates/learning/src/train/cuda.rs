@@ -25,8 +25,9 @@ use crate::{
 use eddy_cuda::{
     device::{Device, Rank},
     frame::Place,
-    gpu::{self, Gpu, GroupId},
+    gpu::{self, GroupId},
     kernels::MATERIALS,
+    open_gpu, open_group,
     training::{Batch, GROUP, InTraining, Outcome},
 };
 use eddy_evaluation::dataset::Trajectory;
@@ -104,7 +105,7 @@ impl Learner {
     ) -> Result<Self, TrainError> {
         let program = program(description)?;
         let precision = stores::precision(description, options.precision.into());
-        let (count, cache) = (options.total(), options.kernel_cache);
+        let count = options.total();
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {
             return Err(TrainError::Setting {
@@ -116,14 +117,14 @@ impl Learner {
         let number = number + own_number(options.process.map(|options| options.process))?;
         let gpus = match (group, options.count.get()) {
             (Some(group), _) => {
-                let mut gpu = Gpu::new(number, &*program, precision, cache)?;
+                let mut gpu = open_gpu(number, &*program, precision)?;
                 let id = share_id(group)?;
                 let rank = options.process.map_or(0, |options| options.process.rank);
                 gpu.join(id, Rank { number: rank, count })?;
                 vec![gpu]
             }
-            (None, 1) => vec![Gpu::new(number, &*program, precision, cache)?],
-            (None, count) => Gpu::group(number..number + count, &*program, precision, cache)?,
+            (None, 1) => vec![open_gpu(number, &*program, precision)?],
+            (None, count) => open_group(number..number + count, &*program, precision)?,
         };
         let stages: Vec<_> =
             config.unroll.iter().map(|stage| settings(config, stage.frames, count)).collect();
