@@ -36,6 +36,7 @@ mod memory;
 mod middleware;
 mod patience;
 mod payload;
+mod qos;
 mod queue;
 #[cfg(feature = "shm")]
 mod shm;
@@ -54,6 +55,7 @@ pub use bare::{BarePair, BarePublisher, BareSubscriber};
 pub use link::{InvalidLink, Link, TransportKind};
 pub use membership::{Lease, Membership};
 pub use payload::Payload;
+pub use qos::default_qos;
 #[cfg(feature = "shm")]
 pub use shm::{SharedFrame, SharedMemory};
 
@@ -81,7 +83,7 @@ pub enum Reliability {
     /// Wait for the subscriber, at most 30 s if it reads nothing, then not until it reads again; no other message is lost.
     /// Advertised to ROS 2 as reliable, keep all.
     Block,
-    /// Drop the message; the publisher never waits. Advertised to ROS 2 as best effort, keep last.
+    /// Drop the message; the publisher never waits. Advertised to ROS 2 as keep last, frames as best effort.
     Drop,
 }
 

@@ -2,12 +2,9 @@
 
 use eddy_messages::{
     DiagnosticArray, Message as _, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
-    QosProfile,
-    lifecycle::TransitionEvent,
-    qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
-    type_support,
+    lifecycle::TransitionEvent, type_support,
 };
-use eddy_transport::{Link, Publisher, Reliability, TransportError, Transports};
+use eddy_transport::{Link, Publisher, Reliability, TransportError, Transports, default_qos};
 
 use super::{CloudTopic, NodeLinks, Outputs};
 use crate::ros::{RosNode, TopicQos};
@@ -75,29 +72,12 @@ impl Publishers<'_> {
         type_name: &str,
         reliability: Reliability,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        let default = match reliability {
-            Reliability::Block => BLOCKING,
-            Reliability::Drop if type_name == ParticleFrame::TYPE => {
-                let reliability = ReliabilityPolicy::BestEffort;
-                QosProfile { reliability, ..QosProfile::default() }
-            }
-            Reliability::Drop => QosProfile::default(),
-        };
+        let default = default_qos(reliability, type_name);
         let Some(offered) = self.qos.publisher(&link.topic, default) else {
             return self.transports.publisher(link, type_name, reliability);
         };
-        // As in rmw_zenoh.
-        let waits =
-            (offered.reliability, offered.history) == (BLOCKING.reliability, BLOCKING.history);
-        let reliability = if waits { Reliability::Block } else { Reliability::Drop };
+        let reliability = Reliability::of_offer(&offered);
         let support = type_support(type_name)?;
         self.transports.offering_publisher_of(link, support, reliability, Some(offered))
     }
 }
-
-/// What blocking publishers offer.
-const BLOCKING: QosProfile = QosProfile {
-    reliability: ReliabilityPolicy::Reliable,
-    durability: DurabilityPolicy::Volatile,
-    history: HistoryPolicy::KeepAll,
-};

@@ -7,7 +7,7 @@ use ros2_client::dds::rustdds::{
     policy::{Durability, History, ResourceLimits},
 };
 
-use crate::{Reliability, transports::is_frames};
+use crate::{Reliability, default_qos};
 use eddy_messages::{Message, PointCloud2, QosProfile, qos::ReliabilityPolicy};
 
 /// History of a topic, and of a writer (messages).
@@ -63,20 +63,23 @@ pub(super) enum PublisherQos {
 }
 
 impl PublisherQos {
-    /// `offered`: what to announce; what follows from the rest if `None`.
+    /// `offered`: what to announce; [`default_qos`] if `None`.
     pub(super) fn of(
         reliability: Reliability,
         type_name: &str,
         offered: Option<&QosProfile>,
     ) -> Self {
-        match (reliability, offered.map(|offered| offered.reliability)) {
-            (_, Some(ReliabilityPolicy::BestEffort)) => Self::BestEffort,
-            (Reliability::Block, _) => Self::Blocking,
+        let announced = offered.copied().unwrap_or_else(|| default_qos(reliability, type_name));
+        match (announced.reliability, reliability) {
+            (ReliabilityPolicy::BestEffort, _) => Self::BestEffort,
+            (ReliabilityPolicy::Reliable, Reliability::Block) => Self::Blocking,
             // Of any size.
-            (Reliability::Drop, Some(ReliabilityPolicy::Reliable)) => Self::ReliableLarge,
-            (Reliability::Drop, None) if is_frames(type_name) => Self::BestEffort,
-            (Reliability::Drop, None) if type_name == PointCloud2::TYPE => Self::ReliableLarge,
-            (Reliability::Drop, None) => Self::Reliable,
+            (ReliabilityPolicy::Reliable, Reliability::Drop)
+                if offered.is_some() || type_name == PointCloud2::TYPE =>
+            {
+                Self::ReliableLarge
+            }
+            (ReliabilityPolicy::Reliable, Reliability::Drop) => Self::Reliable,
         }
     }
 
@@ -149,7 +152,7 @@ mod tests {
     use eddy_messages::{DiagnosticArray, ParticleFrame};
 
     #[test]
-    fn only_frames_of_dropping_publishers_are_best_effort() {
+    fn what_a_publisher_announces_follows_from_its_reliability_and_type() {
         let qos = |mode, kind| PublisherQos::of(mode, kind, None);
         assert_eq!(qos(Reliability::Block, ParticleFrame::TYPE), PublisherQos::Blocking);
         assert_eq!(qos(Reliability::Drop, ParticleFrame::TYPE), PublisherQos::BestEffort);

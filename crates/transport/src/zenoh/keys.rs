@@ -3,7 +3,7 @@
 
 use zenoh::session::ZenohId;
 
-use crate::{Link, Reliability};
+use crate::Link;
 use eddy_messages::{
     QosProfile, TypeSupport, dds_type,
     qos::{DurabilityPolicy, HistoryPolicy, ReliabilityPolicy},
@@ -24,8 +24,6 @@ const TRANSIENT_LOCAL: &str = "1";
 const KEEP_ALL: &str = "2";
 /// Depth that is left out (`RMW_ZENOH_DEFAULT_HISTORY_DEPTH` of `rmw_zenoh_cpp/src/detail/qos.cpp`).
 const DEFAULT_DEPTH: usize = 42;
-/// History depth advertised for dropping publishers (the default of ROS 2).
-const ADVERTISED_DEPTH: usize = 10;
 
 /// Kinds of endpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -203,16 +201,6 @@ pub(super) fn qos(profile: &QosProfile) -> String {
     format!("{reliability}:{durability}:{history}:,:,:,,")
 }
 
-/// QoS of a publisher that follows from what it does when a subscriber cannot keep up.
-pub(super) fn publisher_qos(reliability: Reliability) -> QosProfile {
-    match reliability {
-        Reliability::Block => {
-            QosProfile { history: HistoryPolicy::KeepAll, ..QosProfile::default() }
-        }
-        Reliability::Drop => best_effort(ADVERTISED_DEPTH),
-    }
-}
-
 /// QoS in the token of an endpoint.
 pub(crate) fn qos_in(token: &str) -> Option<QosProfile> {
     let mut policies = token.split('/').nth(12)?.split(':');
@@ -255,6 +243,7 @@ fn best_effort(depth: usize) -> QosProfile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Reliability, default_qos};
     use eddy_messages::{Message, ParticleFrame, RosString, type_support};
 
     const ZID: &str = "1234567890abcdef1234567890abcdef";
@@ -278,7 +267,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_rmw_zenoh() {
-        let qos = qos(&publisher_qos(Reliability::Block));
+        let qos = qos(&default_qos(Reliability::Block, RosString::TYPE));
         let endpoint = endpoint("zenoh:/chatter", RosString::TYPE, Side::Publisher, &qos);
         let hash = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
         assert_eq!(endpoint.key, format!("7/chatter/std_msgs::msg::dds_::String_/{hash}"));
@@ -348,8 +337,8 @@ mod tests {
             ..QosProfile::default()
         };
         for (profile, expected) in [
-            (publisher_qos(Reliability::Block), "::2,:,:,:,,"),
-            (publisher_qos(Reliability::Drop), "2::,10:,:,:,,"),
+            (default_qos(Reliability::Block, RosString::TYPE), "::2,:,:,:,,"),
+            (default_qos(Reliability::Drop, ParticleFrame::TYPE), "2::,10:,:,:,,"),
             (subscriber_qos(64), "2::,64:,:,:,,"),
             (QosProfile::default(), "::,10:,:,:,,"),
             (latched, ":1:,1:,:,:,,"),

@@ -45,8 +45,8 @@ use zenoh::{Session, Wait as _, liveliness::LivelinessToken};
 
 use super::{
     Handler, Lease, Link, Membership, Publisher, Reliability, SeenService, SeenTopic, Served,
-    Subscriber, TransportError, TransportOptions, descriptors::Cost, middleware::Middleware,
-    patience::Patience,
+    Subscriber, TransportError, TransportOptions, default_qos, descriptors::Cost,
+    middleware::Middleware, patience::Patience,
 };
 use eddy_messages::{QosProfile, TypeSupport, qos::DurabilityPolicy, service_hash};
 use failure::error as middleware;
@@ -114,7 +114,7 @@ impl Middleware for ZenohNode {
         reliability: Reliability,
         offered: Option<QosProfile>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        let offered = offered.unwrap_or_else(|| keys::publisher_qos(reliability));
+        let offered = offered.unwrap_or_else(|| default_qos(reliability, &support.name));
         let (qos, kept) = (keys::qos(&offered), NonZeroUsize::new(offered.kept()));
         let endpoint = Endpoint::new(&self.node, self.id(), Side::Publisher, link, support, &qos);
         Ok(Box::new(ZenohPublisher::open(&self, endpoint, reliability, kept)?))
