@@ -194,6 +194,43 @@ fn alternatives(path: &str) -> Vec<String> {
     names.map(|name| format!("{before}{name}{after}")).collect()
 }
 
+/// The pairs of a name and a path that a text has as "`NAME` in `PATH`", also several names of one path.
+fn places(text: &str) -> Vec<(&str, &str)> {
+    let parts: Vec<_> = text.split('`').collect();
+    let mut places = Vec::new();
+    let mut path = "";
+    for code in (1..parts.len().saturating_sub(2)).step_by(2).rev() {
+        path = match parts[code + 1] {
+            " in " => parts[code + 2],
+            " and " | ", " => path,
+            _ => "",
+        };
+        if path.contains('/') && !parts[code].contains(['/', ' ']) {
+            places.push((parts[code], path));
+        }
+    }
+    places
+}
+
+#[test]
+fn what_a_guide_says_is_in_a_file_is_there() {
+    let guides = GUIDES.iter().filter(|guide| guide.ends_with(".md"));
+    let texts: Vec<_> =
+        guides.map(|guide| (guide, fs::read_to_string(root().join(guide)).unwrap())).collect();
+    let mut count = 0;
+    for (guide, text) in &texts {
+        for (name, path) in places(text) {
+            let place = root().join(path);
+            let files = if place.is_dir() { sources(&place) } else { vec![place] };
+            let mut files = files.into_iter().map(|file| fs::read_to_string(file).unwrap());
+            let last = name.rsplit("::").next().unwrap();
+            assert!(files.any(|file| file.contains(last)), "{guide}: `{name}` is not in {path}");
+            count += 1;
+        }
+    }
+    assert!(count > 10, "found {count} names with a path, expected more");
+}
+
 #[test]
 fn every_path_and_type_that_a_guide_names_exists() {
     let read = |file: PathBuf| fs::read_to_string(file).unwrap();
