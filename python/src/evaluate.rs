@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf, sync::Mutex};
 
 use eddy_evaluation::{
     Evaluation, EvaluationRequest, Reference, Settings,
-    dataset::{LoadOptions, State, available_memory, load_trajectories},
+    dataset::{LoadOptions, available_memory, load_trajectories},
     position_skill,
 };
 use eddy_inference::checkpoint::Checkpoint;
@@ -17,6 +17,7 @@ use crate::{
     interrupt, lock,
     values::{self, Paths},
 };
+use eddy_frames::State;
 
 /// Width of the lines of tables (characters).
 const TABLE_COLUMNS: usize = 80;

@@ -4,8 +4,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{EvalError, Rollout};
-use crate::dataset::{State, Stream};
-use eddy_frames::{Frame, decimal};
+use crate::dataset::Stream;
+use eddy_frames::{Frame, State, decimal};
 use eddy_mpm::{MpmError, Scene, Settings, Simulation};
 
 /// Largest displacement of a particle along each axis (domain lengths).

@@ -1,8 +1,9 @@
 //! The evaluation context: settings, walls and units, the same for all predictors.
 
-use super::{Baseline, EvalError, LinearFit, Predictor, Units, window::starts};
-use crate::dataset::{Bounds, State};
-use eddy_frames::Domain;
+use super::{EvalError, LinearFit, Predictor, Units, window::starts};
+use crate::dataset::Bounds;
+use eddy_frames::{Domain, State};
+use eddy_inference::engine::Baseline;
 use eddy_inference::{
     checkpoint::{Description, Normalization},
     engine::Ballistic,

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Context, EvalError, Kind, Predictor, chaos, model_rollout::begin_stream};
-use crate::dataset::{State, Stream};
-use eddy_frames::clock::Clock;
+use crate::dataset::Stream;
+use eddy_frames::{State, clock::Clock};
 use eddy_inference::engine::Surrogate;
 use eddy_mpm::Scene;
 

@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::FEATURES;
-use crate::dataset::State;
-use eddy_frames::Material;
+use eddy_frames::{Material, State};
 
 /// Divisors of normalised errors of x, y, vx, vy, from the first checkpoint's training data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

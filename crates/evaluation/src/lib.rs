@@ -19,7 +19,6 @@
 //! A thread evaluates one scene at a time, so at most one scene per thread is in memory; [`side_by_side`] says how many threads
 //! there are.
 
-mod baseline;
 pub mod bootstrap;
 pub mod chaos;
 mod context;
@@ -54,10 +53,8 @@ mod task;
 mod test_streams;
 mod window;
 
-pub use baseline::Baseline;
 pub use context::{Context, DEFAULT_STARTS, Settings};
 pub use cost::{Cost, KindCost, time};
-pub use eddy_inference::error_model::mean_squared_distance;
 pub use error_estimates::{Bin, Calibration, CalibrationRequest, Outcome, Reliability, Sample};
 pub use errors::{ErrorSums, Errors, Units};
 pub use evaluation::{Evaluation, EvaluationError, EvaluationRequest, evaluate_model, short_names};

@@ -1,9 +1,10 @@
 //! Ten numbers fitted by least squares: the simplest predictor that learns from data.
 
 use crate::{
-    dataset::{DatasetError, State, Trajectory},
+    dataset::{DatasetError, Trajectory},
     normal_equations::solve,
 };
+use eddy_frames::State;
 
 /// Pairs of consecutive frames that a fit uses, at most; they are spread evenly over all streams.
 const PAIRS: usize = 2048;

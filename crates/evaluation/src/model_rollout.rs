@@ -1,8 +1,8 @@
 //! Rollouts of models: they observe a stream, then predict from their own output.
 
 use super::{Rollout, error_estimates::Sampler, steps::StepResults, task::RolloutTask};
-use crate::dataset::{State, Stream};
-use eddy_frames::Frame;
+use crate::dataset::Stream;
+use eddy_frames::{Frame, State};
 use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 
 /// Observes a stream from its first frame on, as a node does, and predicts `reach` frames after each of the frames

@@ -1,13 +1,14 @@
 //! Everything that predicts: models, other programs, baselines, reference solvers, and the truth itself.
 
 use super::{
-    Baseline, Context, EvalError, LinearFit, Outcome, Recorded, Restart, Rollout, chaos,
+    Context, EvalError, LinearFit, Outcome, Recorded, Restart, Rollout, chaos,
     error_estimates::Sampler,
     model_rollout::{roll_out_from_first, roll_out_joined_late},
     steps::StepResults,
     task::RolloutTask,
 };
-use crate::dataset::State;
+use eddy_frames::State;
+use eddy_inference::engine::Baseline;
 use eddy_inference::{
     engine::{ModelError, Surrogate},
     error_model::CalibratedHorizon,

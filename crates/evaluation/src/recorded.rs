@@ -6,9 +6,8 @@ use std::{
 };
 
 use super::{EvalError, Rollout, task::RolloutTask};
-use crate::dataset::State;
 use eddy_bag::{BagError, BagReader, Selection, find_bags};
-use eddy_frames::Frame;
+use eddy_frames::{Frame, State};
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, cdr};
 
 /// Topic of the predicted frames.

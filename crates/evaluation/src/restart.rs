@@ -4,8 +4,8 @@ use super::{
     Rollout,
     measure::{FlightSums, Flights},
 };
-use crate::dataset::{State, Stream};
-use eddy_frames::decimal;
+use crate::dataset::Stream;
+use eddy_frames::{State, decimal};
 use eddy_mpm::{GridShape, MpmError, Particle, Scene, Solver, SolverSettings, minimum_substeps};
 
 /// MPM restarted from positions, velocities and materials of one frame: undeformed (F = I, Jp = 1),

@@ -1,6 +1,6 @@
 //! Predicted states of a free rollout.
 
-use crate::dataset::State;
+use eddy_frames::State;
 
 /// Predicted states, one per frame ahead.
 #[derive(Clone, Debug, PartialEq)]

@@ -182,9 +182,10 @@ pub fn evaluate_scene(
 mod tests {
     use super::*;
     use crate::{
-        Baseline, Settings,
+        Settings,
         test_streams::{context, first_frames},
     };
+    use eddy_inference::engine::Baseline;
     use eddy_mpm::Preset;
 
     /// The first frames of a scene of liquid, as they are simulated.

@@ -3,12 +3,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    Baseline, Kind, SceneResult,
+    Kind, SceneResult,
     bootstrap::{MIN_SCENES, bootstrap},
-    mean_squared_distance, numbers,
+    numbers,
 };
-use crate::dataset::{Bounds, State};
-use eddy_inference::engine::Ballistic;
+use crate::dataset::Bounds;
+use eddy_frames::{State, mean_squared_distance};
+use eddy_inference::engine::{Ballistic, Baseline};
 
 /// A skill with a sign and two decimals; what rounds to zero is `+0.00`.
 pub fn skill_text(skill: f64) -> String {

@@ -129,8 +129,7 @@ impl<'a> StepObserver<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::State;
-    use eddy_frames::{Domain, Material, Stamp};
+    use eddy_frames::{Domain, Material, Stamp, State};
 
     /// One particle with one position per frame.
     fn stream(places: &[f32]) -> Stream {

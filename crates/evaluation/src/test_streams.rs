@@ -7,11 +7,11 @@ use tempfile::TempDir;
 use crate::{
     Context, Settings,
     dataset::{
-        Bounds, LoadOptions, State, Stream, Trajectory, load_trajectories,
+        Bounds, LoadOptions, Stream, Trajectory, load_trajectories,
         simulate::{SimulationRequest, Source, simulate},
     },
 };
-use eddy_frames::progress::Silent;
+use eddy_frames::{State, progress::Silent};
 use eddy_inference::{checkpoint::Checkpoint, kernels::spacing::spacing};
 use eddy_mpm::{Extent, Scene, Settings as SolverSettings, Simulation};
 

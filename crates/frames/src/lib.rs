@@ -10,10 +10,13 @@
 
 pub mod clock;
 pub mod date;
+pub mod palette;
 pub mod progress;
+mod state;
 mod valid;
 mod view;
 
+pub use state::{State, mean_squared_distance, squared_distance};
 pub use valid::{InvalidFrame, same_setup};
 pub use view::{FrameView, Particle, Particles};
 

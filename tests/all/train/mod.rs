@@ -18,9 +18,9 @@ use std::{
 };
 
 use eddy_bag::{BagWriter, Compression, WriterOptions};
-use eddy_evaluation::dataset::{Dataset, DatasetError, LoadOptions, State, Stream, Trajectory};
+use eddy_evaluation::dataset::{Dataset, DatasetError, LoadOptions, Stream, Trajectory};
 use eddy_frames::{
-    Domain, Material, Stamp,
+    Domain, Material, Stamp, State,
     progress::{Progress, Silent},
 };
 use eddy_inference::checkpoint::{Architecture, Core, Normalization};

@@ -9,9 +9,9 @@ use std::{
 
 use xxhash_rust::xxh3::Xxh3;
 
-use super::{DatasetError, State, TRUTH_TOPIC};
+use super::{DatasetError, TRUTH_TOPIC};
 use eddy_bag::{BagError, BagReader};
-use eddy_frames::{Frame, Stamp};
+use eddy_frames::{Frame, Stamp, State};
 
 /// Frames per block. A chunk of a bag holds about 25 frames of 2,500 particles, so a block wastes little of the first
 /// and the last chunk that it is read from.

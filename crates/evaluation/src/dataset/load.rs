@@ -14,13 +14,13 @@ use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::{
-    DatasetError, FrameStore, LoadOptions, Loaded, State, Stream, TRUTH_TOPIC, Trajectory,
+    DatasetError, FrameStore, LoadOptions, Loaded, Stream, TRUTH_TOPIC, Trajectory,
     frame_store::{self, BLOCK, Block, StreamLocation},
     quantities::Quantities,
     statistics::Bounds,
 };
 use eddy_bag::{BagError, BagReader, find_bags};
-use eddy_frames::{Domain, Frame, Stamp, same_setup};
+use eddy_frames::{Domain, Frame, Stamp, State, same_setup};
 use eddy_messages::UnusableFrame;
 
 /// A stream while its bag is read.

@@ -37,14 +37,14 @@ pub use memory::available_memory;
 pub use quantities::{quantity_of_stream, stated_by, stiffness_of};
 pub use split::Part;
 pub use statistics::Bounds;
-pub use stream::{State, Stream};
+pub use stream::Stream;
 pub use trajectory::Trajectory;
 
 use eddy_bag::{
     BagError,
     custom_data::{Quantity, STIFFNESS},
 };
-use eddy_frames::Material;
+use eddy_frames::{Material, State};
 use eddy_inference::{
     checkpoint::Normalization,
     kernels::spacing::{median, spacing},

@@ -1,6 +1,6 @@
 //! Range, mean and standard deviation of the features x, y, vx, vy, and bounding boxes of positions.
 
-use super::State;
+use eddy_frames::State;
 use eddy_inference::checkpoint::Normalization;
 
 /// Bounding box of all positions seen (domain lengths).

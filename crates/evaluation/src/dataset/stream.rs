@@ -2,22 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use eddy_frames::{Domain, Frame, Material, Stamp};
-
-/// Positions and velocities at one instant; `N` particles.
-#[derive(Clone, Debug, PartialEq)]
-pub struct State {
-    /// Positions, `[N, 2]` (domain lengths).
-    pub position: Vec<[f32; 2]>,
-    /// Velocities, `[N, 2]` (domain lengths per second).
-    pub velocity: Vec<[f32; 2]>,
-}
-
-impl From<Frame> for State {
-    fn from(frame: Frame) -> Self {
-        Self { position: frame.position, velocity: frame.velocity }
-    }
-}
+use eddy_frames::{Domain, Frame, Material, Stamp, State};
 
 /// Consecutive frames of one simulated trajectory.
 #[derive(Clone, Debug)]

@@ -5,9 +5,9 @@ use std::{ops::Range, path::PathBuf, sync::Arc};
 use sha2::{Digest, Sha256};
 
 use super::{
-    DatasetError, FrameStore, State, Stream, add_to_digest, begin_digest, hex, statistics::Bounds,
+    DatasetError, FrameStore, Stream, add_to_digest, begin_digest, hex, statistics::Bounds,
 };
-use eddy_frames::{Domain, Material, Stamp};
+use eddy_frames::{Domain, Material, Stamp, State};
 use eddy_inference::engine::{Stated, StreamSetup};
 
 /// Consecutive frames of one simulated trajectory, in memory or on disk.

@@ -1,10 +1,10 @@
 //! Features of predictions, and the errors that became known later.
 
 use crate::{Rollout, dataset::Stream};
-use eddy_frames::{Frame, FrameView};
+use eddy_frames::{Frame, FrameView, mean_squared_distance};
 use eddy_inference::{
     engine::Surrogate,
-    error_model::{ErrorTracker, Features, mean_squared_distance},
+    error_model::{ErrorTracker, Features},
 };
 
 /// A prediction of a rollout.

@@ -3,11 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::bulk::kinetic_energy;
-use crate::{
-    Baseline, Context, Rollout,
-    dataset::{State, Stream},
-    mean_squared_distance,
-};
+use crate::{Context, Rollout, dataset::Stream};
+use eddy_frames::{State, mean_squared_distance};
+use eddy_inference::engine::Baseline;
 
 /// The frame ahead at which positions are compared.
 const COMPARED: usize = 100;

@@ -1,7 +1,8 @@
 //! Bulk quantities: kinetic energy, centre of mass, share outside the walls.
 
 use super::Mean;
-use crate::{dataset::State, errors::square};
+use crate::errors::square;
+use eddy_frames::State;
 
 /// Bulk quantities at one frame ahead, accumulated over windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -3,10 +3,8 @@
 use std::collections::HashMap;
 
 use super::{Mean, bulk::mean};
-use crate::{
-    dataset::{State, Stream},
-    errors::square,
-};
+use crate::{dataset::Stream, errors::square};
+use eddy_frames::State;
 use eddy_inference::engine::Ballistic;
 
 /// Minimum width of the empty strip around a body (spacings).

@@ -16,9 +16,9 @@ mod flight;
 mod settled;
 mod stretch;
 
-use super::{Context, Rollout, errors::square, mean_squared_distance};
-use crate::dataset::{State, Stream};
-use eddy_frames::Material;
+use super::{Context, Rollout, errors::square};
+use crate::dataset::Stream;
+use eddy_frames::{Material, State, mean_squared_distance};
 
 pub use blow_up::BlowUps;
 pub(super) use blow_up::energy_limit;

@@ -8,15 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{area, bulk};
 use crate::{
-    Context, EvalError, Predictor, Rollout,
-    dataset::{State, Stream},
-    errors::square,
-    mean_squared_distance,
-    measure::Flights,
-    numbers,
-    predictor::RolloutOutcome,
-    task::RolloutTask,
+    Context, EvalError, Predictor, Rollout, dataset::Stream, errors::square, measure::Flights,
+    numbers, predictor::RolloutOutcome, task::RolloutTask,
 };
+use eddy_frames::{State, mean_squared_distance};
 
 /// The frame that the rollout starts from: the last one of the scenes of `eddy simulate --preset kinds`, unless they are longer.
 pub const SETTLED_START: usize = 299;
@@ -124,9 +119,10 @@ fn speed(velocity: &[[f32; 2]]) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        Baseline, Settings, evaluate_scene,
+        Settings, evaluate_scene,
         test_streams::{context, first_frames},
     };
+    use eddy_inference::engine::Baseline;
     use eddy_mpm::{Preset, Scene};
 
     /// `frames` frames of a liquid that stands still, though every particle claims to rise.

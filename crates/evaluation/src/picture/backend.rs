@@ -7,10 +7,8 @@ use plotters_backend::{
     text_anchor::{HPos, VPos},
 };
 
-use super::{
-    canvas::{Canvas, PLOT_FONT},
-    palette::WHITE,
-};
+use super::canvas::{Canvas, PLOT_FONT};
+use eddy_frames::palette::WHITE;
 
 type Drawn<T = ()> = Result<T, DrawingErrorKind<Infallible>>;
 

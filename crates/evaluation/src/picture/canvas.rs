@@ -1,5 +1,6 @@
 //! Raster images.
 
+use eddy_frames::palette::{Rgb, WHITE, mix};
 use embedded_graphics::{
     Drawable, Pixel,
     draw_target::DrawTarget,
@@ -11,8 +12,6 @@ use embedded_graphics::{
     pixelcolor::{Rgb888, RgbColor},
     text::{Alignment, Baseline, Text, TextStyleBuilder},
 };
-
-use super::palette::{Rgb, WHITE, mix};
 
 const FONT: &MonoFont<'_> = &FONT_8X13;
 /// Font of plots.

@@ -11,7 +11,6 @@
 mod backend;
 mod canvas;
 mod file;
-mod palette;
 mod panel;
 mod quantize;
 mod sampling;
@@ -20,6 +19,5 @@ mod video;
 pub(crate) use backend::CanvasBackend;
 pub use canvas::Canvas;
 pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
-pub use palette::{Rgb, of_material as material_color, scale as scale_colors};
 pub use panel::{Coloring, Painter};
 pub use sampling::{animation_timing, evenly_spaced};

@@ -1,9 +1,7 @@
 //! Pictures of frames.
 
-use super::{
-    canvas::{Canvas, LINE},
-    palette::{self, BLACK, GREY, Rgb},
-};
+use super::canvas::{Canvas, LINE};
+use eddy_frames::palette::{self, BLACK, GREY, Rgb};
 use eddy_frames::{Domain, Frame, Material};
 
 /// Margin around the domain (pixels).

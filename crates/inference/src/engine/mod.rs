@@ -27,6 +27,7 @@
 
 mod accelerator;
 mod ballistic;
+mod baseline;
 #[cfg(target_arch = "x86_64")]
 mod bf16;
 mod core;
@@ -66,6 +67,7 @@ mod tests;
 
 pub use accelerator::{Accelerator, DeviceState, DeviceStep, StreamStart};
 pub use ballistic::Ballistic;
+pub use baseline::Baseline;
 pub use decoded::Decoded;
 pub use error::ModelError;
 pub use fits::fits;

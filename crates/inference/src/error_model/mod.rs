@@ -18,7 +18,7 @@ mod tracker;
 pub use file::ERROR_MODEL_FILE;
 pub(crate) use file::{load, parse};
 pub use regression::{LEVELS, Linear, Regression};
-pub use tracker::{ErrorTracker, FEATURES, Features, log_square, mean_squared_distance};
+pub use tracker::{ErrorTracker, FEATURES, Features, log_square};
 
 #[cfg(test)]
 mod tests;

@@ -2,7 +2,7 @@
 
 use super::{ErrorEstimate, ErrorModel};
 use crate::{checkpoint::Description, engine::Ballistic};
-use eddy_frames::{Domain, Frame, FrameView, Material};
+use eddy_frames::{Domain, Frame, FrameView, Material, mean_squared_distance, squared_distance};
 
 /// Number of features.
 pub const FEATURES: usize = 7;
@@ -17,16 +17,6 @@ const SMALL: f64 = 1e-10;
 /// The natural logarithm of a mean square (domain lengths squared), finite also for 0.
 pub fn log_square(square: f64) -> f32 {
     (square + SMALL).ln() as f32
-}
-
-/// Mean of |x - x'|^2 over particles (domain lengths squared), for positions `[N, 2]`, subtracted in double precision.
-pub fn mean_squared_distance(a: &[[f32; 2]], b: &[[f32; 2]]) -> f64 {
-    a.iter().zip(b).map(|(&a, &b)| squared(a, b)).sum::<f64>() / b.len() as f64
-}
-
-fn squared(a: [f32; 2], b: [f32; 2]) -> f64 {
-    let [x, y] = [0, 1].map(|axis| f64::from(a[axis]) - f64::from(b[axis]));
-    x * x + y * y
 }
 
 /// Features of a prediction, in this order:
@@ -115,8 +105,8 @@ impl ErrorTracker {
         let mut sums = Squares::default();
         let last = self.observed.position.iter().zip(&self.observed.velocity);
         for (((x, _), (&last_x, &last_v)), &predicted) in truth.zip(last).zip(&predicted.position) {
-            sums.error += squared(predicted, x);
-            sums.departure += squared(self.ballistic.step(last_x, last_v).0, x);
+            sums.error += squared_distance(predicted, x);
+            sums.departure += squared_distance(self.ballistic.step(last_x, last_v).0, x);
         }
         // A prediction that was not finite was not published, either.
         if !sums.error.is_finite() {

@@ -4,7 +4,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 use super::{loss_weights::LossScale, window::Window};
 use crate::model::state::{ParticleState, StaticInputs, TrajectoryBatch};
-use eddy_evaluation::dataset::State;
+use eddy_frames::State;
 use eddy_inference::checkpoint::Description;
 
 /// A batch of B windows with N particles each: R = B N rows, window by window.

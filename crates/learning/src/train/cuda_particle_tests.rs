@@ -24,8 +24,8 @@ use eddy_cuda::{
     training::InTraining as _,
 };
 use eddy_cuda_emulator::Emulator;
-use eddy_evaluation::dataset::{State, Stream, Trajectory};
-use eddy_frames::{Domain, Material, Stamp};
+use eddy_evaluation::dataset::{Stream, Trajectory};
+use eddy_frames::{Domain, Material, Stamp, State};
 use eddy_inference::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, Form, Weights, initial_weights,

@@ -20,8 +20,9 @@ use super::{
 };
 use crate::model::{DeviceKind, GpuOptions, linear::Linear, mlp::activate};
 #[cfg(feature = "cuda")]
-use eddy_cuda::{dense::Move, gpu::Gpu, kernels::Program};
-use eddy_evaluation::dataset::{Dataset, State};
+use eddy_cuda::{dense::Move, kernels::Program};
+use eddy_evaluation::dataset::Dataset;
+use eddy_frames::State;
 use eddy_inference::checkpoint::{Activation, Normalization};
 
 /// Pairs of frames for the validation loss.
@@ -109,8 +110,7 @@ pub fn train_dense(
         #[cfg(feature = "cuda")]
         DeviceKind::Cuda(number) => {
             let open = |constants: &dyn Program| {
-                let (precision, cache) = (gpu.precision.into(), gpu.kernel_cache);
-                let gpu = Gpu::new(number.into(), constants, precision, cache)?;
+                let gpu = eddy_cuda::open_gpu(number.into(), constants, gpu.precision.into())?;
                 Ok(Arc::new(gpu) as Arc<dyn eddy_cuda::device::Device>)
             };
             Trainer::on_device(config, activation, &weights, &open)

@@ -17,8 +17,7 @@ use crate::model::{
     network::Network,
     state::{RecurrentState, TrajectoryBatch},
 };
-use eddy_evaluation::dataset::State;
-use eddy_frames::Material;
+use eddy_frames::{Material, State};
 use eddy_inference::{
     checkpoint::{Description, Weights},
     engine::Ballistic,

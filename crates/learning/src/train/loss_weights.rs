@@ -11,8 +11,8 @@
 use std::borrow::Cow;
 
 use super::{LossConfig, LossKind, window::Window};
-use eddy_evaluation::{Baseline, dataset::State};
-use eddy_frames::Material;
+use eddy_frames::{Material, State};
+use eddy_inference::engine::Baseline;
 use eddy_inference::{checkpoint::Normalization, engine::Ballistic};
 
 /// Position error below which accuracy is irrelevant (domain lengths): a thirtieth of a cell.

@@ -14,10 +14,9 @@ use super::{
     loss_weights::LossScale, optimizer::Optimizer, window::Window,
 };
 use crate::model::{DeviceKind, GpuOptions, dropout::Dropout, network::Network};
-use eddy_evaluation::dataset::State;
 #[cfg(feature = "cuda")]
 use eddy_evaluation::dataset::Trajectory;
-use eddy_frames::{Domain, Material};
+use eddy_frames::{Domain, Material, State};
 use eddy_inference::{
     checkpoint::{Architecture, Core, Description, MaterialInput, Weights, initial_weights},
     engine::Ballistic,
@@ -242,8 +241,8 @@ mod cuda {
         state::RunState, steps::Step, window::Sampler,
     };
     use crate::model::{DeviceKind, network::Network};
-    use eddy_evaluation::dataset::{State, Stream, Trajectory};
-    use eddy_frames::{Domain, Material, Stamp};
+    use eddy_evaluation::dataset::{Stream, Trajectory};
+    use eddy_frames::{Domain, Material, Stamp, State};
     use eddy_inference::{
         checkpoint::{Architecture, Description},
         engine::Ballistic,

@@ -6,11 +6,11 @@ use rayon::{ThreadPoolBuilder, prelude::*};
 
 use super::{Observed, TrainError, ValidationConfig};
 use eddy_evaluation::{
-    Baseline, Context, DEFAULT_STARTS, EvalError, LinearFit, Predictor, SceneResult, Settings,
-    Skills,
+    Context, DEFAULT_STARTS, EvalError, LinearFit, Predictor, SceneResult, Settings, Skills,
     dataset::{Bounds, Dataset, Trajectory},
     evaluate_scene, rollout_threads, starts,
 };
+use eddy_inference::engine::Baseline;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::Surrogate,

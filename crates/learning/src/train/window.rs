@@ -6,8 +6,8 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{NoiseConfig, TrainError, WindowConfig};
-use eddy_evaluation::dataset::{State, Trajectory};
-use eddy_frames::Material;
+use eddy_evaluation::dataset::Trajectory;
+use eddy_frames::{Material, State};
 
 /// A piece of a stream: all particles over consecutive frames.
 #[derive(Clone, Debug)]

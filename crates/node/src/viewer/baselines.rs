@@ -3,9 +3,8 @@
 use std::collections::VecDeque;
 
 use super::PredictionInfo;
-use eddy_evaluation::{Baseline, dataset::State, mean_squared_distance};
-use eddy_frames::{Domain, Frame};
-use eddy_inference::engine::Ballistic;
+use eddy_frames::{Domain, Frame, State, mean_squared_distance};
+use eddy_inference::engine::{Ballistic, Baseline};
 
 /// Maximum number of particle steps for the baselines of one prediction.
 const MAX_ROLLOUT_STEPS: usize = 4_000_000;

@@ -10,8 +10,8 @@ use super::{
     baselines::Baselines,
     curves::{Curves, Point, Recent, Squared, Summary},
 };
-use eddy_evaluation::{Baseline, mean_squared_distance};
-use eddy_frames::Frame;
+use eddy_frames::{Frame, mean_squared_distance};
+use eddy_inference::engine::Baseline;
 use eddy_inference::{checkpoint::Description, engine::Ballistic};
 
 /// Points of the curve over time.

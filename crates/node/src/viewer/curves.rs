@@ -1,8 +1,7 @@
 //! Recent errors, over time and by horizon.
 
+use eddy_inference::engine::Baseline;
 use std::collections::VecDeque;
-
-use eddy_evaluation::Baseline;
 
 /// Simulation time over which errors are averaged (s).
 const WINDOW: f64 = 1.0;

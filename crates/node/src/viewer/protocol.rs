@@ -11,8 +11,8 @@ use super::{
     wire::{LARGEST_ERROR, SMALLEST_ERROR},
 };
 use crate::{PARAMETERS, ParameterSpec, Values};
-use eddy_evaluation::picture::{Rgb, material_color, scale_colors};
 use eddy_frames::Material;
+use eddy_frames::palette::{self, Rgb};
 
 /// What a page is about.
 #[derive(Clone, Debug, Default)]
@@ -54,9 +54,11 @@ impl ClientMessage {
 pub(super) fn hello(info: &PageInfo, controls: &dyn Controls, instance: &str) -> String {
     let materials: Vec<Value> = Material::ALL
         .iter()
-        .map(|&material| json!({ "name": material.name(), "color": material_color(material) }))
+        .map(
+            |&material| json!({ "name": material.name(), "color": palette::of_material(material) }),
+        )
         .collect();
-    let scale: Vec<Rgb> = scale_colors().to_vec();
+    let scale: Vec<Rgb> = palette::scale().to_vec();
     let settings: Map<String, Value> =
         PARAMETERS.iter().map(|spec| (spec.name.to_owned(), setting(spec))).collect();
     json!({

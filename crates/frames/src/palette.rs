@@ -1,15 +1,16 @@
 //! Colour-blind-safe colours.
 
-use eddy_frames::Material;
+use super::Material;
 
 /// Red, green and blue, each 0 to 255 (sRGB).
 pub type Rgb = [u8; 3];
 
-pub(super) const WHITE: Rgb = [255; 3];
+/// White.
+pub const WHITE: Rgb = [255; 3];
 /// Outline of the domain.
-pub(super) const GREY: Rgb = [150; 3];
+pub const GREY: Rgb = [150; 3];
 /// Text.
-pub(super) const BLACK: Rgb = [30; 3];
+pub const BLACK: Rgb = [30; 3];
 
 /// Colour of a material, from the palette of Okabe and Ito ("Color Universal Design", 2008). The colours also differ in
 /// lightness.
@@ -41,7 +42,7 @@ pub fn scale() -> &'static [Rgb] {
 }
 
 /// Colour of a speed relative to the maximum, 0 to 1, on a perceptually uniform scale.
-pub(super) fn of_share(share: f32) -> Rgb {
+pub fn of_share(share: f32) -> Rgb {
     let last = VIRIDIS.len() - 1;
     let place = share.clamp(0.0, 1.0) * last as f32;
     let below = (place as usize).min(last - 1);
@@ -49,7 +50,7 @@ pub(super) fn of_share(share: f32) -> Rgb {
 }
 
 /// Linear interpolation from `from` (0) to `to` (1).
-pub(super) fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
+pub fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
     let one = |from: u8, to: u8| {
         (f32::from(from) + (f32::from(to) - f32::from(from)) * share).round() as u8
     };

@@ -1,7 +1,7 @@
 //! Trivial predictors that a model must beat.
 
-use crate::dataset::State;
-use eddy_inference::engine::Ballistic;
+use super::Ballistic;
+use eddy_frames::State;
 
 /// A trivial predictor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
