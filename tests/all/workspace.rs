@@ -47,11 +47,12 @@ const MIDDLEWARE: [(&str, &str); 5] = [
 ];
 
 /// Dependencies that crates meant for use on their own must not pull in.
-const WITHOUT: [(&str, &[&str]); 5] = [
+const WITHOUT: [(&str, &[&str]); 6] = [
     ("eddy-cuda", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),
+    ("eddy-node", &["burn", "eddy-mpm", "gif", "maud", "plotters"]),
     ("eddy-threads", &["eddy-frames", "rayon", "tracing"]),
 ];
 
