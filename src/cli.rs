@@ -238,7 +238,7 @@ impl Command {
 /// `eddy launch`
 #[derive(Debug, Args)]
 pub struct LaunchArgs {
-    /// Launch file (TOML); launch_configs/ has examples.
+    /// Launch file (TOML); launch_configs/launch/ has examples.
     pub file: PathBuf,
 }
 

@@ -83,7 +83,7 @@ const EXAMPLES: &[(&str, &[&str])] = &[
             "eddy eval --checkpoint checkpoints/particle-mingru --data bags/mm --output reports/without_area --without-rules area",
         ],
     ),
-    ("launch", &["eddy launch launch_configs/replay_node_record.toml"]),
+    ("launch", &["eddy launch launch_configs/launch/replay_node_record.toml"]),
     ("bag info", &["eddy bag info bags/sample"]),
     ("bag check", &["eddy bag check bags/sample"]),
     ("bag recover", &["eddy bag recover bags/sample/scene_0000_0.mcap --output bags/recovered"]),

@@ -30,36 +30,36 @@ macro_rules! files {
 }
 
 files! {
-    the_node_runs_with_its_settings: "node_lookahead.toml" => node,
-    the_paper_s_network_is_trained_with_its_settings: "train_frame.toml" => |name| train(name, "frame min"),
-    the_paper_s_mingru_is_trained_with_its_settings: "train_frame_mingru.toml" => |name| {
+    the_node_runs_with_its_settings: "node/lookahead.toml" => node,
+    the_paper_s_network_is_trained_with_its_settings: "train/frame.toml" => |name| train(name, "frame min"),
+    the_paper_s_mingru_is_trained_with_its_settings: "train/frame_mingru.toml" => |name| {
         train(name, "frame min");
     },
-    soft_matter_is_trained_with_its_settings: "train_soft.toml" => |name| train_particles(name, &[]),
-    soft_matter_is_trained_at_once_with_its_settings: "train_soft_once.toml" => |name| {
+    soft_matter_is_trained_with_its_settings: "train/soft.toml" => |name| train_particles(name, &[]),
+    soft_matter_is_trained_at_once_with_its_settings: "train/soft_once.toml" => |name| {
         train_particles(name, &[]);
     },
-    soft_matter_is_trained_further_with_its_settings: "train_soft_long.toml" => |name| {
+    soft_matter_is_trained_further_with_its_settings: "train/soft_long.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru"]);
     },
-    stiff_matter_is_trained_with_its_settings: "train_stiff.toml" => |name| train_particles(name, &[]),
-    stiff_matter_is_trained_shortly_with_its_settings: "train_stiff_short.toml" => |name| {
+    stiff_matter_is_trained_with_its_settings: "train/stiff.toml" => |name| train_particles(name, &[]),
+    stiff_matter_is_trained_shortly_with_its_settings: "train/stiff_short.toml" => |name| {
         train_particles(name, &[]);
     },
-    any_stiffness_is_trained_with_its_settings: "train_conditioned.toml" => |name| {
+    any_stiffness_is_trained_with_its_settings: "train/conditioned.toml" => |name| {
         train_particles(name, &[]);
     },
-    any_stiffness_is_trained_further_with_its_settings: "train_conditioned_knots.toml" => |name| {
+    any_stiffness_is_trained_further_with_its_settings: "train/conditioned_knots.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
     },
-    any_stiffness_is_trained_on_longer_rollouts_with_its_settings: "train_conditioned_long.toml" => |name| {
+    any_stiffness_is_trained_on_longer_rollouts_with_its_settings: "train/conditioned_long.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
     },
-    the_paper_s_study_begins_with_its_settings: "study_two_cores.toml" => study,
-    replay_node_and_record_run_from_one_file: "replay_node_record.toml" => |name| {
+    the_paper_s_study_begins_with_its_settings: "study/two_cores.toml" => study,
+    replay_node_and_record_run_from_one_file: "launch/replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
     },
-    a_robot_with_parameters_and_clouds_runs_from_one_file: "robot1_clouds.toml" => |name| {
+    a_robot_with_parameters_and_clouds_runs_from_one_file: "launch/robot1_clouds.toml" => |name| {
         let topics = [
             ("/robot1/particles", 20),
             ("/robot1/particles/cloud", 1),
@@ -68,11 +68,11 @@ files! {
         ];
         launch(name, "-", "robot1", &topics);
     },
-    two_nodes_in_a_row_run_from_one_file: "chain_shm.toml" => |name| {
+    two_nodes_in_a_row_run_from_one_file: "launch/chain_shm.toml" => |name| {
         let topics = [("/chain/truth", 20), ("/chain/near", 10), ("/chain/far", 1)];
         launch(name, "chain", "chain", &topics);
     },
-    a_free_run_at_the_pace_of_a_clock_runs_from_one_file: "free_run_clock.toml" => |name| {
+    a_free_run_at_the_pace_of_a_clock_runs_from_one_file: "launch/free_run_clock.toml" => |name| {
         // The first five frames give at most three predictions.
         let topics = [("/free_run/particles", 20), ("/free_run/prediction", 10)];
         launch(name, "free_run", "free_run", &topics);
@@ -142,7 +142,7 @@ fn launch(name: &str, place: &str, bag: &str, topics: &[(&str, u64)]) {
     fs::create_dir(&bags).unwrap();
     symlink(repository.join("bags/sample"), bags.join("sample")).unwrap();
     symlink(repository.join("launch_configs"), folder.path().join("launch_configs")).unwrap();
-    let plan = folder.path().join(name);
+    let plan = folder.path().join("plan.toml");
     let text = fs::read_to_string(file(name)).unwrap();
     let (ours, theirs) = (format!("/{place}/"), format!("/{}/", unique(place)));
     fs::write(&plan, text.replace(&ours, &theirs)).unwrap();
@@ -179,9 +179,15 @@ fn every_file_is_run_by_a_test() {
         let handed = arguments.filter_map(|argument| argument.strip_prefix("launch_configs/"));
         run.extend(handed.map(str::to_owned));
     }
-    run.extend(["cluster", "scenes"].map(str::to_owned));
-    let entries = fs::read_dir(file("")).unwrap();
-    let found: BTreeSet<_> =
-        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let names = |folder: &str| -> Vec<String> {
+        let entries = fs::read_dir(file(folder)).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    };
+    let folders = names("").into_iter().filter(|name| !["cluster", "scenes"].contains(&&**name));
+    let in_folder = |folder: String| {
+        let files = names(&folder).into_iter();
+        files.map(move |name| format!("{folder}/{name}")).collect::<Vec<_>>()
+    };
+    let found: BTreeSet<_> = folders.flat_map(in_folder).collect();
     assert_eq!(found, run);
 }

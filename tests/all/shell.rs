@@ -120,7 +120,11 @@ const NEARLY: &[(&str, i32, &str)] = &[
         1,
         "; did you mean checkpoints/particle-mingru?",
     ),
-    ("launch launch_configs/chain_shn.toml", 1, "; did you mean launch_configs/chain_shm.toml?"),
+    (
+        "launch launch_configs/launch/chain_shn.toml",
+        1,
+        "; did you mean launch_configs/launch/chain_shm.toml?",
+    ),
     ("simulate --scene nearly_scene.toml --output o", 1, "; did you mean solver.gravity?"),
     ("node --config nearly.toml", 1, "; did you mean horizon?"),
     (

@@ -238,8 +238,15 @@ fn texts() {
         let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
         files.filter(|file| file.extension().is_some_and(|end| end == "toml")).collect::<Vec<_>>()
     };
-    for (target, folder) in [("toml", configs.clone()), ("scene", configs.join("scenes"))] {
-        for file in files(&folder) {
+    let folders = [
+        ("launch", "toml"),
+        ("node", "toml"),
+        ("scenes", "scene"),
+        ("study", "toml"),
+        ("train", "toml"),
+    ];
+    for (folder, target) in folders {
+        for file in files(&configs.join(folder)) {
             let name = file.file_stem().unwrap().to_str().unwrap();
             keep(target, name, fs::read(&file).unwrap());
         }

@@ -36,7 +36,7 @@ install -d "$tree/lib/systemd/system" "$tree/usr/lib/sysusers.d"
 sed -e 's|/usr/local/bin/eddy|/usr/bin/eddy|' -e 's|file:/usr/local/share/doc|file:/usr/share/doc|' \
     "$root/docs/src/deploy/eddy-node.service" >"$tree/lib/systemd/system/eddy-node.service"
 echo 'u eddy - "eddy node" /var/lib/eddy' >"$tree/usr/lib/sysusers.d/eddy.conf"
-install -D -m 644 "$root/launch_configs/node_lookahead.toml" "$tree/etc/eddy/node.toml"
+install -D -m 644 "$root/launch_configs/node/lookahead.toml" "$tree/etc/eddy/node.toml"
 
 install -d "$tree/usr/share/eddy/bags" "$tree/usr/share/doc/eddy"
 cp -r "$root/launch_configs" "$root/msgs" "$root/docs/src/deploy/eddy_ros" "$tree/usr/share/eddy/"

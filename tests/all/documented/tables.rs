@@ -249,7 +249,7 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "needs systemd, root or Docker",
     ),
     (
-        "install -D -m 644 launch_configs/node_lookahead.toml /etc/eddy/node.toml",
+        "install -D -m 644 launch_configs/node/lookahead.toml /etc/eddy/node.toml",
         "needs systemd, root or Docker",
     ),
     (

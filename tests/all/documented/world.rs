@@ -93,7 +93,11 @@ impl World {
 
     /// Reduces settings files, as [`CHEAPER`] reduces commands.
     fn shrink(&self) {
-        for entry in fs::read_dir(self.at("launch_configs")).unwrap() {
+        let folders = ["launch", "node", "study", "train"];
+        let files = folders
+            .into_iter()
+            .flat_map(|folder| fs::read_dir(self.at(&format!("launch_configs/{folder}"))).unwrap());
+        for entry in files {
             let file = entry.unwrap().path();
             if file.extension().is_none_or(|extension| extension != "toml") {
                 continue;
