@@ -44,7 +44,7 @@ epochs = 2
 batch = 4
 per_epoch = 8
 
-[judging]
+[evaluation]
 horizon = 5
 starts = 1
 "#;
@@ -211,7 +211,7 @@ fn settings_that_cannot_be_used_are_refused_before_anything_is_written() {
         ("[training.network]\nhidden = 0", "network.hidden: found 0, expected 1 to 65536"),
         ("[dense]\nwidth = 0", "dense.width: found 0, expected at least 1"),
         ("step_seconds = 0", "step_seconds: found 0, expected a positive number"),
-        ("[judging]\nhorizon = 21", "judging.horizon: found 21, expected at most 20"),
+        ("[judging]\nhorizon = 21", "evaluation.horizon: found 21, expected at most 20"),
         ("color = 1", "unknown field `color`"),
     ] {
         fs::write(&file, line).unwrap();

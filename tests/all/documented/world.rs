@@ -64,8 +64,8 @@ training.windows.batch = 4
 training.windows.per_epoch = 4
 dense.epochs = 1
 dense.per_epoch = 32
-judging.horizon = 5
-judging.starts = 1
+evaluation.horizon = 5
+evaluation.starts = 1
 ";
 
 impl World {

@@ -43,7 +43,7 @@ pub struct StudyConfig {
     /// Training settings of the other studies; the compared setting is replaced.
     pub training: TrainConfig,
     /// How they are evaluated.
-    #[serde(rename = "judging")]
+    #[serde(alias = "judging")]
     pub evaluation: EvaluationConfig,
     /// Window lengths for which training steps of the cores are timed in `study cores`.
     pub step_frames: Vec<usize>,
@@ -238,7 +238,7 @@ impl StudyConfig {
                 3,
                 "at least 3: for training, validation and test",
             ),
-            ("judging.horizon", self.evaluation.horizon, 1, "at least 1"),
+            ("evaluation.horizon", self.evaluation.horizon, 1, "at least 1"),
             ("data.test_scenes", self.data.test_scenes as usize, 1, "at least 1"),
             (
                 "step_frames",
@@ -246,7 +246,7 @@ impl StudyConfig {
                 1,
                 "at least 1 each",
             ),
-            ("judging.starts", self.evaluation.starts, 1, "at least 1"),
+            ("evaluation.starts", self.evaluation.starts, 1, "at least 1"),
         ];
         for (field, found, least, expected) in numbers {
             if found < least {
@@ -264,7 +264,7 @@ impl StudyConfig {
         if self.evaluation.horizon > SCENE_FRAMES {
             let found = self.evaluation.horizon.to_string();
             let expected = "at most 20: errors of scenes are kept for the paper's 20 frames";
-            return Err(InvalidStudy { field: "judging.horizon", found, expected });
+            return Err(InvalidStudy { field: "evaluation.horizon", found, expected });
         }
         if self.training.architecture != Architecture::Frame {
             let found = self.training.architecture.name().to_owned();
