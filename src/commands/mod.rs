@@ -42,13 +42,13 @@ use eddy_bag::{
     read_qos_overrides,
 };
 use eddy_frames::clock::Clock;
-use eddy_messages::{Log, Message as _, type_support};
+use eddy_messages::{Log, Message as _};
 use eddy_node::{
     ros::{ROSOUT, ROSOUT_QOS, RosNode, Rosout, RosoutPublisher},
     viewer::LivePage,
 };
 use eddy_settings::usage::Usage;
-use eddy_transport::{Link, Publisher, Reliability, TransportKind, Transports};
+use eddy_transport::{Link, Publisher, PublisherOptions, Reliability, TransportKind, Transports};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::terminal;
@@ -108,8 +108,8 @@ pub(crate) fn publish_log(
     let on: BTreeSet<_> = on.into_iter().filter(|transport| transport.is_of_ros()).collect();
     let open = |transport| -> anyhow::Result<_> {
         let link = Link { transport, topic: ros.topic(ROSOUT) };
-        let support = type_support(Log::TYPE)?;
-        Ok(transports.offering_publisher_of(&link, support, Reliability::Drop, Some(ROSOUT_QOS))?)
+        let options = PublisherOptions { reliability: Reliability::Drop, qos: Some(ROSOUT_QOS) };
+        Ok(transports.publisher(&link, Log::TYPE, options)?)
     };
     let publishers = on.into_iter().map(open).collect::<Result<Vec<_>, _>>()?;
     Ok((!publishers.is_empty()).then(|| rosout.publish(publishers)).transpose()?)

@@ -15,7 +15,7 @@ use eddy_messages::{
     qos::{HistoryPolicy, ReliabilityPolicy},
     type_support,
 };
-use eddy_transport::{Publisher, Reliability};
+use eddy_transport::{Publisher, PublisherOptions, Reliability};
 use iceoryx2::prelude::{NodeBuilder, ipc};
 
 use crate::support::{
@@ -63,7 +63,11 @@ fn what_was_kept_is_recorded_with_how_much_its_publisher_keeps() {
     let latched = latched(2);
     let mut publisher = world
         .transports
-        .offering_publisher_of(&link, words, Reliability::Block, Some(latched))
+        .publisher(
+            &link,
+            words,
+            PublisherOptions { reliability: Reliability::Block, qos: Some(latched) },
+        )
         .unwrap();
     for text in ["zero", "one", "two"] {
         publisher.publish_cdr(&word(text)).unwrap();
@@ -140,7 +144,14 @@ fn quality_of_service_is_recorded_as_offered_and_kept_messages_are_received() {
             [("a", profiles[0]), ("b", profiles[1]), ("c", profiles[2])].map(|(name, offered)| {
                 let link = world.link(transport, name);
                 let block = Reliability::Block;
-                world.transports.offering_publisher_of(&link, words, block, Some(offered)).unwrap()
+                world
+                    .transports
+                    .publisher(
+                        &link,
+                        words,
+                        PublisherOptions { reliability: block, qos: Some(offered) },
+                    )
+                    .unwrap()
             });
         publishers[2].publish_cdr(&word("old")).unwrap();
         let pattern = format!("^{}/", world.prefix);
@@ -197,8 +208,10 @@ fn a_recorder_that_is_first_waits_for_the_publisher_and_has_its_type_and_quality
             Process::start(&mut world.record(&[&link.to_string(), "--max-messages", "3"]));
         recorder.line(&format!("waiting for {link}, which is not published yet"));
         let (block, words) = (Reliability::Block, type_support(RosString::TYPE).unwrap());
-        let mut publisher =
-            world.transports.offering_publisher_of(&link, words, block, Some(latched(1))).unwrap();
+        let mut publisher = world
+            .transports
+            .publisher(&link, words, PublisherOptions { reliability: block, qos: Some(latched(1)) })
+            .unwrap();
         wait_for_a_subscriber(&*publisher);
         for text in ["one", "two", "three"] {
             publisher.publish_cdr(&word(text)).unwrap();
@@ -276,7 +289,7 @@ fn no_message_is_lost_while_the_definition_is_looked_for() {
     let link = world.link("zenoh", "imu");
     let arguments = [link.to_string(), "--max-messages".to_owned(), "1000".to_owned()];
     let mut recorder = Process::start(&mut world.record(&arguments.each_ref().map(String::as_str)));
-    let mut publisher = world.transports.publisher_of(&link, &foreign, Reliability::Drop).unwrap();
+    let mut publisher = world.transports.publisher(&link, &foreign, Reliability::Drop).unwrap();
     wait_for_a_subscriber(&*publisher);
     let before = clock::wall();
     for number in 0..1_000_u16 {
@@ -357,7 +370,7 @@ fn a_type_without_a_definition_is_named_and_its_schema_has_only_its_name() {
     let world = World::new("record");
     let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", "");
     let link = world.link("shm", "imu");
-    let mut publisher = world.transports.publisher_of(&link, &foreign, Reliability::Block).unwrap();
+    let mut publisher = world.transports.publisher(&link, &foreign, Reliability::Block).unwrap();
     let pattern = format!("^{}/", world.prefix);
     let arguments = ["-e", &pattern, "--from", "shm", "--max-messages", "1"];
     let mut recorder = Process::start(&mut world.record(&arguments));
@@ -386,7 +399,7 @@ fn everything_that_is_published_is_found_also_later_and_of_types_nobody_knows_he
     let hash = format!("RIHS01_{}", "5".repeat(64));
     let foreign = TypeSupport::foreign("acme_msgs/msg/Imu", &hash);
     let link = world.link("zenoh", "imu");
-    let mut later = world.transports.publisher_of(&link, &foreign, Reliability::Block).unwrap();
+    let mut later = world.transports.publisher(&link, &foreign, Reliability::Block).unwrap();
     let secret = world.words("zenoh", "secret");
     wait_for_a_subscriber(&*later);
     later.publish_cdr(&[0, 1, 0, 0, 42]).unwrap();

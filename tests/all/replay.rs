@@ -138,7 +138,7 @@ fn types_that_nobody_knows_here_pass_through_as_bytes() {
     bag.finish().unwrap();
     for transport in ["zenoh", "shm"] {
         let link = world.link(transport, "a");
-        let mut subscriber = world.transports.subscriber_of(&link, &foreign).unwrap();
+        let mut subscriber = world.transports.subscriber(&link, &foreign).unwrap();
         let mut player = Process::start(&mut world.replay(transport, &[]));
         for _ in 0..2 {
             assert_eq!(next(&mut *subscriber), data, "{transport}");
@@ -401,7 +401,7 @@ fn versions_of_a_type_are_published_apart_on_zenoh() {
     let link = world.link("zenoh", "a");
     let mut subscribers = definitions.map(|definition| {
         let support = TypeSupport::from_schema(NAME, definition).unwrap();
-        world.transports.subscriber_of(&link, &support).unwrap()
+        world.transports.subscriber(&link, &support).unwrap()
     });
     let mut player = Process::start(&mut world.replay("zenoh", &[]));
     assert_eq!([next(&mut *subscribers[0]), next(&mut *subscribers[0])], [data(1), data(1)]);
@@ -416,7 +416,7 @@ fn a_type_without_fields_is_published() {
     let tick = channel("/a", "acme_msgs/msg/Tick", "");
     write_messages(&world.bag(), &[(&tick, vec![0, 1, 0, 0, 0])]);
     let support = TypeSupport::from_schema("acme_msgs/msg/Tick", "# Nothing.\n").unwrap();
-    let mut ticks = world.transports.subscriber_of(&world.link("zenoh", "a"), &support).unwrap();
+    let mut ticks = world.transports.subscriber(&world.link("zenoh", "a"), &support).unwrap();
     let mut player = Process::start(&mut world.replay("zenoh", &[]));
     assert_eq!(next(&mut *ticks), [0, 1, 0, 0, 0]);
     assert!(player.wait().success());

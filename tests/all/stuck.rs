@@ -214,7 +214,7 @@ fn a_reliable_subscriber_of_a_best_effort_topic_is_named_in_the_log() {
     let _node = Process::start(&mut command);
     let support = type_support(ParticleFrame::TYPE).unwrap();
     let requested = Some(QosProfile::default());
-    let _reader = network.transports.requesting_subscriber_of(&output, support, requested).unwrap();
+    let _reader = network.transports.requesting_subscriber(&output, support, requested).unwrap();
     let line = crate::support::wait_for("the node names the subscription", || {
         let said = fs::read_to_string(&said).unwrap();
         said.lines().find(|line| line.contains("incompatible QoS")).map(str::to_owned)

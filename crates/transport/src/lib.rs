@@ -60,7 +60,10 @@ pub use qos::default_qos;
 pub use shm::{SharedFrame, SharedMemory};
 
 pub use discovered::{SeenService, SeenTopic};
-pub use transports::{DdsOptions, DiscoveryRange, TransportOptions, Transports, ZenohOptions};
+pub use transports::{
+    DdsOptions, DiscoveryRange, PublisherOptions, TopicType, TransportOptions, Transports,
+    ZenohOptions,
+};
 
 use std::{
     path::PathBuf,

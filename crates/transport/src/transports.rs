@@ -25,6 +25,44 @@ use eddy_messages::{
 /// Largest domain that ROS 2 allows (docs.ros.org, "About ROS 2 domain IDs").
 const MAX_DOMAIN: u16 = 232;
 
+/// What a publisher does, and what it offers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PublisherOptions {
+    /// What it does when a subscriber cannot keep up.
+    pub reliability: Reliability,
+    /// The quality of service that it offers on Zenoh and DDS [default: [`default_qos`](crate::default_qos)]. If that is transient local,
+    /// as in ROS 2 for topics such as `/tf_static`, it keeps its last messages for late-joining subscribers. Other transports have no
+    /// quality of service.
+    pub qos: Option<QosProfile>,
+}
+
+impl From<Reliability> for PublisherOptions {
+    fn from(reliability: Reliability) -> Self {
+        Self { reliability, qos: None }
+    }
+}
+
+/// The type of the messages of a topic: a name that is built in, or a definition.
+pub trait TopicType {
+    /// Its definition.
+    ///
+    /// # Errors
+    /// [`TransportError::Type`] if the name is not built in.
+    fn support(&self) -> Result<&TypeSupport, TransportError>;
+}
+
+impl TopicType for str {
+    fn support(&self) -> Result<&TypeSupport, TransportError> {
+        Ok(type_support(self)?)
+    }
+}
+
+impl TopicType for TypeSupport {
+    fn support(&self) -> Result<&TypeSupport, TransportError> {
+        Ok(self)
+    }
+}
+
 /// Options of all transports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TransportOptions {
@@ -207,85 +245,46 @@ impl Transports {
         if needed == 0 { Ok(()) } else { descriptors::ensure(link, needed) }
     }
 
-    /// A publisher of messages of type `type_name`, such as `eddy_msgs/msg/ParticleFrame`.
+    /// A publisher of messages of a type: its name, such as `eddy_msgs/msg/ParticleFrame`, or its definition. Messages other than frames
+    /// are CDR bytes.
     ///
     /// # Errors
     /// [`TransportError`] when the type is unknown, the topic has another type, or the middleware cannot be opened.
     pub fn publisher(
         &self,
         link: &Link,
-        type_name: &str,
-        reliability: Reliability,
+        of: &(impl TopicType + ?Sized),
+        options: impl Into<PublisherOptions>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
-        self.publisher_of(link, type_support(type_name)?, reliability)
-    }
-
-    /// A publisher of messages of any type; messages other than frames are CDR bytes.
-    ///
-    /// # Errors
-    /// As [`Transports::publisher`].
-    pub fn publisher_of(
-        &self,
-        link: &Link,
-        support: &TypeSupport,
-        reliability: Reliability,
-    ) -> Result<Box<dyn Publisher>, TransportError> {
-        self.offering_publisher_of(link, support, reliability, None)
-    }
-
-    /// As [`Transports::publisher_of`]; on Zenoh and DDS the publisher offers this quality of service. If that is
-    /// transient local, as in ROS 2 for topics such as `/tf_static`, it keeps its last messages for late-joining
-    /// subscribers. Other transports have no quality of service.
-    ///
-    /// # Errors
-    /// As [`Transports::publisher`].
-    pub fn offering_publisher_of(
-        &self,
-        link: &Link,
-        support: &TypeSupport,
-        reliability: Reliability,
-        offered: Option<QosProfile>,
-    ) -> Result<Box<dyn Publisher>, TransportError> {
+        let (support, PublisherOptions { reliability, qos }) = (of.support()?, options.into());
         self.ensure(link, 1, 0)?;
-        self.middleware(link)?.publisher(link, support, reliability, offered)
+        self.middleware(link)?.publisher(link, support, reliability, qos)
     }
 
-    /// A subscriber to messages of type `type_name` with a bounded queue. A full queue holds blocking publishers
-    /// back; messages of the others are dropped. On Zenoh and DDS it also receives the messages that publishers have
-    /// kept.
+    /// A subscriber to messages of a type, as in [`Transports::publisher`], with a bounded queue. A full queue holds blocking publishers
+    /// back; messages of the others are dropped. On Zenoh and DDS it also receives the messages that publishers have kept.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
     pub fn subscriber(
         &self,
         link: &Link,
-        type_name: &str,
+        of: &(impl TopicType + ?Sized),
     ) -> Result<Box<dyn Subscriber>, TransportError> {
-        self.subscriber_of(link, type_support(type_name)?)
+        self.requesting_subscriber(link, of, None)
     }
 
-    /// A subscriber to messages of any type; messages other than frames are CDR bytes.
+    /// As [`Transports::subscriber`]; on Zenoh and DDS the subscriber requests this quality of service.
     ///
     /// # Errors
     /// As [`Transports::publisher`].
-    pub fn subscriber_of(
+    pub fn requesting_subscriber(
         &self,
         link: &Link,
-        support: &TypeSupport,
-    ) -> Result<Box<dyn Subscriber>, TransportError> {
-        self.requesting_subscriber_of(link, support, None)
-    }
-
-    /// As [`Transports::subscriber_of`]; on Zenoh and DDS the subscriber requests this quality of service.
-    ///
-    /// # Errors
-    /// As [`Transports::publisher`].
-    pub fn requesting_subscriber_of(
-        &self,
-        link: &Link,
-        support: &TypeSupport,
+        of: &(impl TopicType + ?Sized),
         requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
+        let support = of.support()?;
         self.ensure(link, 0, 1)?;
         self.middleware(link)?.subscriber(link, support, requested)
     }

@@ -23,7 +23,7 @@ pub(super) fn run(
     let timeout = end.unwrap_or(MAX_FIND_TIME).min(MAX_FIND_TIME);
     let Some(topic) = find(&args.link, transports, timeout, interrupt)? else { return Ok(()) };
     let mut subscriber = transports
-        .subscriber_of(&topic.link, &topic.type_support())
+        .subscriber(&topic.link, &topic.type_support())
         .with_context(|| format!("cannot subscribe to {}", topic.link))?;
     let (mut rate, mut reported, mut has_new) = (Rate::new(args.window), clock.now(), false);
     loop {

@@ -6,7 +6,7 @@ use super::{OutputOptions, PlannedTopic, PlaybackPlan};
 use eddy_bag::BagMessage;
 use eddy_frames::{Stamp, counted};
 use eddy_messages::{Clock, Message, cdr};
-use eddy_transport::{Link, Publisher, Reliability, TransportError, Transports};
+use eddy_transport::{Link, Publisher, PublisherOptions, Reliability, TransportError, Transports};
 
 /// The publisher of one topic of the bag.
 pub struct PlayedTopic {
@@ -64,8 +64,11 @@ impl TopicOutputs {
         let (mut topics, mut by_channel) = (Vec::new(), HashMap::new());
         for planned in std::mem::take(&mut plan.topics) {
             let PlannedTopic { name, link, support, offered, .. } = &planned;
-            let opened =
-                transports.offering_publisher_of(link, support, options.reliability, *offered);
+            let opened = transports.publisher(
+                link,
+                support,
+                PublisherOptions { reliability: options.reliability, qos: *offered },
+            );
             let publisher = match opened {
                 Ok(publisher) => publisher,
                 Err(error) if options.topics.contains(name) => return Err(error),

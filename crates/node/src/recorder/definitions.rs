@@ -58,8 +58,7 @@ impl TopicOpener {
     pub fn open(&self, topic: SeenTopic) -> Result<OpenTopic, TransportError> {
         let requested = self.overrides.get(&topic.link.topic).copied();
         let support = topic.type_support();
-        let subscriber =
-            self.transports.requesting_subscriber_of(&topic.link, &support, requested)?;
+        let subscriber = self.transports.requesting_subscriber(&topic.link, &support, requested)?;
         Ok(OpenTopic { topic, subscriber })
     }
 

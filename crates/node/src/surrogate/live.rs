@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use eddy_messages::{Clock, Message, ParticleFrame, QosProfile, type_support};
+use eddy_messages::{Clock, Message, ParticleFrame, QosProfile};
 use eddy_transport::{Link, Reliability, Served, Subscriber, TransportError, Transports};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -82,10 +82,10 @@ impl LiveNode {
         let renamed = links.renamed(ros);
         let input = renamed.input.clone();
         let requested = qos.subscription(&input.topic, QosProfile::default());
-        let subscriber = type_support(ParticleFrame::TYPE)
-            .map_err(TransportError::from)
-            .and_then(|support| transports.requesting_subscriber_of(&input, support, requested))
-            .map_err(|source| OpenError::Input { link: Box::new(input.clone()), source })?;
+        let subscriber =
+            transports
+                .requesting_subscriber(&input, ParticleFrame::TYPE, requested)
+                .map_err(|source| OpenError::Input { link: Box::new(input.clone()), source })?;
         let mut publishers = Publishers { transports: &transports, ros, qos, reliability };
         let is_managed = node.lifecycle().is_some();
         let outputs = publishers

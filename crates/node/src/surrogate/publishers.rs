@@ -2,9 +2,11 @@
 
 use eddy_messages::{
     DiagnosticArray, Message as _, ParameterEvent, ParticleFrame, PointCloud2, PredictionStatus,
-    lifecycle::TransitionEvent, type_support,
+    lifecycle::TransitionEvent,
 };
-use eddy_transport::{Link, Publisher, Reliability, TransportError, Transports, default_qos};
+use eddy_transport::{
+    Link, Publisher, PublisherOptions, Reliability, TransportError, Transports, default_qos,
+};
 
 use super::{CloudTopic, NodeLinks, Outputs};
 use crate::ros::{RosNode, TopicQos};
@@ -73,11 +75,8 @@ impl Publishers<'_> {
         reliability: Reliability,
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let default = default_qos(reliability, type_name);
-        let Some(offered) = self.qos.publisher(&link.topic, default) else {
-            return self.transports.publisher(link, type_name, reliability);
-        };
-        let reliability = Reliability::of_offer(&offered);
-        let support = type_support(type_name)?;
-        self.transports.offering_publisher_of(link, support, reliability, Some(offered))
+        let qos = self.qos.publisher(&link.topic, default);
+        let reliability = qos.as_ref().map_or(reliability, Reliability::of_offer);
+        self.transports.publisher(link, type_name, PublisherOptions { reliability, qos })
     }
 }

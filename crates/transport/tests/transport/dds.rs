@@ -11,8 +11,8 @@ use eddy_messages::{
     type_support,
 };
 use eddy_transport::{
-    Link, Payload, Publisher, Reliability, TransportError, TransportKind, TransportOptions,
-    Transports,
+    Link, Payload, Publisher, PublisherOptions, Reliability, TransportError, TransportKind,
+    TransportOptions, Transports,
 };
 use ros2_client::dds::rustdds::{
     DomainParticipantBuilder, QosPolicyBuilder, TopicKind, WriteOptions,
@@ -131,7 +131,13 @@ fn word(word: &str) -> Vec<u8> {
 /// A publisher of strings.
 fn offering(transports: &Transports, link: &Link, offered: QosProfile) -> Box<dyn Publisher> {
     let words = type_support(RosString::TYPE).unwrap();
-    transports.offering_publisher_of(link, words, Reliability::Block, Some(offered)).unwrap()
+    transports
+        .publisher(
+            link,
+            words,
+            PublisherOptions { reliability: Reliability::Block, qos: Some(offered) },
+        )
+        .unwrap()
 }
 
 /// History is not announced on DDS.

@@ -325,7 +325,7 @@ fn publishers_are_asked_for_the_definition_of_their_type() {
         let (options, link) = (options(), link(transport));
         let node = options.node_name.clone();
         let [here, there] = ends(transport, options);
-        let _publisher = here.publisher_of(&link, &known, Reliability::Block).unwrap();
+        let _publisher = here.publisher(&link, &known, Reliability::Block).unwrap();
         let seen = || {
             let topics = there.topics(link.transport).unwrap();
             topics.into_iter().find(|topic| topic.link == link)

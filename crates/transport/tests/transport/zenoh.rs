@@ -11,7 +11,8 @@ use eddy_messages::{
     service_hash, type_support,
 };
 use eddy_transport::{
-    Link, Payload, Publisher, Reliability, Subscriber, TransportKind, TransportOptions, Transports,
+    Link, Payload, Publisher, PublisherOptions, Reliability, Subscriber, TransportKind,
+    TransportOptions, Transports,
 };
 use zenoh::{
     Session, Wait,
@@ -149,7 +150,9 @@ fn latched(kept: usize) -> QosProfile {
 fn keeping(transports: &Transports, link: &Link, kept: usize) -> Box<dyn Publisher> {
     let words = type_support(RosString::TYPE).unwrap();
     let offered = Some(latched(kept));
-    transports.offering_publisher_of(link, words, Reliability::Block, offered).unwrap()
+    transports
+        .publisher(link, words, PublisherOptions { reliability: Reliability::Block, qos: offered })
+        .unwrap()
 }
 
 fn word(word: &str) -> Vec<u8> {
@@ -262,7 +265,7 @@ fn a_subscriber_that_requests_volatile_receives_no_kept_messages() {
     publisher.publish_cdr(&word("kept")).unwrap();
     let words = type_support(RosString::TYPE).unwrap();
     let volatile = Some(QosProfile::default());
-    let mut subscriber = there.requesting_subscriber_of(&link, words, volatile).unwrap();
+    let mut subscriber = there.requesting_subscriber(&link, words, volatile).unwrap();
     eventually("the subscriber is seen", || publisher.subscribers() == 1);
     publisher.publish_cdr(&word("new")).unwrap();
     assert_eq!(next_word(&mut *subscriber), word("new"));
