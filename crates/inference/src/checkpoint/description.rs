@@ -1,6 +1,6 @@
 //! `model.toml`: network, training data and normalisation.
 
-use std::{ops::Range, path::Path};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
@@ -9,10 +9,6 @@ use super::{
     fingerprints::Fingerprints,
     network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules, valid_knots,
-};
-use crate::{
-    engine::Ballistic,
-    kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
@@ -145,26 +141,6 @@ impl Description {
         }
         let of_rule = || self.rules.elastic.filter(|_| !self.stiffness);
         self.training.stiffness.or_else(|| of_rule().map(|rule| [rule.stiffness(); 2]))
-    }
-
-    /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this
-    /// stiffness (density x velocity^2), if the network is conditioned on it; empty if the rule `elastic` is off.
-    pub fn lattices(
-        &self,
-        rest: (&RestShape, Range<usize>),
-        position: &[[f32; 2]],
-        material: &[Material],
-        stiffness: Option<f32>,
-    ) -> Lattices {
-        let (Some(mut rule), Some(grid)) = (self.rules.elastic, &self.grid) else {
-            return Lattices::default();
-        };
-        let spacing = grid.spacing;
-        if let Some(stiffness) = stiffness {
-            rule = rule.with_modulus(rule.modulus * stiffness, spacing, self.dt);
-        }
-        let elasticity = rule.elasticity(&Ballistic::new(self), spacing);
-        Lattices::new(rest, position, material, spacing, (rule.cell_width, elasticity))
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame

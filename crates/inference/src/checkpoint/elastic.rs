@@ -5,10 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, description::field};
-use crate::{
-    engine::Ballistic,
-    kernels::lattice::{self, Elasticity},
-};
+use crate::kernels::lattice;
 use eddy_frames::decimal;
 
 /// Young's modulus of jelly relative to the stiffness of a stream, as in the solver.
@@ -61,7 +58,7 @@ impl ElasticRule {
     /// Steps in the time that a pressure wave takes to cross an element, with which they are accurate.
     const ACCURATE_STEPS: f32 = 2.25;
     /// Width that the stiffness of walls refers to: two parts of a surface (spacings at rest).
-    const SURFACE_WIDTH: f32 = 2.0 * lattice::PART_WIDTH;
+    pub(crate) const SURFACE_WIDTH: f32 = 2.0 * lattice::PART_WIDTH;
 
     /// For jelly of this modulus (density x velocity^2), particles at this distance (domain lengths) and frames of `dt` seconds.
     pub fn new(modulus: f32, spacing: f32, dt: f32) -> Self {
@@ -95,7 +92,7 @@ impl ElasticRule {
     }
 
     /// Speed of pressure waves (domain lengths per second).
-    fn wave_speed(&self) -> f32 {
+    pub(crate) fn wave_speed(&self) -> f32 {
         let [mu, lambda] = self.lame();
         (2.0 * mu + lambda).sqrt()
     }
@@ -106,31 +103,9 @@ impl ElasticRule {
     }
 
     /// Shear modulus and first Lame parameter (density x velocity^2).
-    fn lame(&self) -> [f32; 2] {
+    pub(crate) fn lame(&self) -> [f32; 2] {
         let Self { modulus, poisson_ratio: nu, .. } = *self;
         [modulus / (2.0 * (1.0 + nu)), modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))]
-    }
-
-    /// The law for frames with this ballistic step, with particles at this distance (domain lengths).
-    pub fn elasticity(&self, ballistic: &Ballistic, spacing: f32) -> Elasticity {
-        let &Ballistic { gravity, dt, .. } = ballistic;
-        let Self { viscosity, rebound, steps, .. } = *self;
-        // 1 / the time that a pressure wave takes to cross it.
-        let rate = self.wave_speed() / (Self::SURFACE_WIDTH * spacing);
-        Elasticity {
-            lame: self.lame(),
-            viscosity,
-            wall_distance: self.wall_distance * spacing,
-            wall_stiffness: self.wall_stiffness * rate * rate,
-            rebound,
-            clear_distance: self.clear_distance * spacing,
-            most_stretch: self.most_stretch,
-            most_error: self.most_error.unwrap_or(f32::INFINITY),
-            small_error: self.small_error * spacing,
-            steps,
-            dt,
-            gravity,
-        }
     }
 }
 

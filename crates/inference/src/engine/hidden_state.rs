@@ -32,7 +32,8 @@ pub(super) fn rest(
     };
     let Frame { position, material, .. } = frame;
     let rest = RestShape::new(position, material, 1, spacing);
-    let lattices = description.lattices((&rest, 0..position.len()), position, material, stiffness);
+    let lattices =
+        super::lattices(description, (&rest, 0..position.len()), position, material, stiffness);
     (rest, lattices)
 }
 

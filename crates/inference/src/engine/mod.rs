@@ -72,7 +72,7 @@ pub use decoded::Decoded;
 pub use error::ModelError;
 pub use fits::fits;
 pub use hidden_state::HiddenState;
-pub use rules::Corrector;
+pub use rules::{Corrector, lattices};
 pub use stepper::{StepRequest, Stepper};
 pub use surrogate::{Precision, Surrogate};
 pub use warning::{Stated, StreamSetup, Warning, warnings};

@@ -13,7 +13,7 @@ use super::{
 use eddy_frames::Frame;
 use eddy_inference::{
     checkpoint::{Checkpoint, CheckpointError, Description},
-    engine::Corrector,
+    engine::{self, Corrector},
     kernels::lattice::{Expected, Lattices},
 };
 
@@ -64,7 +64,7 @@ impl Reference {
         let each = stiffness.as_ref().map(std::slice::from_ref);
         let fixed = StaticInputs::new(material, position, 1, each, grid, &device);
         let rows = (&*fixed.rest, 0..position.len());
-        let lattices = self.description.lattices(rows, position, material, stiffness);
+        let lattices = engine::lattices(&self.description, rows, position, material, stiffness);
         let expected_nodes = lattices.expected();
         HiddenState { recurrent: RecurrentState::default(), fixed, lattices, expected_nodes }
     }

@@ -3,9 +3,58 @@
 //! expected them leaves its body as predicted. Later rules apply to the result. Walls have turned its velocity within the frame; it is not
 //! stopped there as in a ballistic step.
 
-use super::{Observed, Predicted};
-use crate::kernels::lattice::{self, Expected, Lattices, Walls};
+use std::ops::Range;
+
+use super::{super::Ballistic, Observed, Predicted};
+use crate::{
+    checkpoint::{Description, ElasticRule},
+    kernels::{
+        lattice::{self, Elasticity, Expected, Lattices, Walls},
+        rest_shape::RestShape,
+    },
+};
+use eddy_frames::Material;
 use eddy_threads::DisjointSlice;
+
+/// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this
+/// stiffness (density x velocity^2), if the network is conditioned on it; empty if the rule `elastic` is off.
+pub fn lattices(
+    description: &Description,
+    (rest, rows): (&RestShape, Range<usize>),
+    position: &[[f32; 2]],
+    material: &[Material],
+    stiffness: Option<f32>,
+) -> Lattices {
+    let (Some(mut rule), Some(grid)) = (description.rules.elastic, &description.grid) else {
+        return Lattices::default();
+    };
+    let spacing = grid.spacing;
+    if let Some(stiffness) = stiffness {
+        rule = rule.with_modulus(rule.modulus * stiffness, spacing, description.dt);
+    }
+    let elasticity = elasticity(&rule, &Ballistic::new(description), spacing);
+    Lattices::new((rest, rows), position, material, spacing, (rule.cell_width, elasticity))
+}
+
+/// The law for frames with this ballistic step, with particles at this distance (domain lengths).
+fn elasticity(rule: &ElasticRule, ballistic: &Ballistic, spacing: f32) -> Elasticity {
+    // 1 / the time that a pressure wave takes to cross it.
+    let rate = rule.wave_speed() / (ElasticRule::SURFACE_WIDTH * spacing);
+    Elasticity {
+        lame: rule.lame(),
+        viscosity: rule.viscosity,
+        wall_distance: rule.wall_distance * spacing,
+        wall_stiffness: rule.wall_stiffness * rate * rate,
+        rebound: rule.rebound,
+        clear_distance: rule.clear_distance * spacing,
+        most_stretch: rule.most_stretch,
+        most_error: rule.most_error.unwrap_or(f32::INFINITY),
+        small_error: rule.small_error * spacing,
+        steps: rule.steps,
+        dt: ballistic.dt,
+        gravity: ballistic.gravity,
+    }
+}
 
 /// Buffers of each body.
 pub(super) type Scratch = Vec<lattice::Scratch>;

@@ -37,6 +37,7 @@ use crate::{
 pub use corrector::Corrector;
 use eddy_frames::{Domain, Material};
 use eddy_threads::DisjointSlice;
+pub use elastic::lattices;
 
 use area::Pressure;
 use bodies::Bodies;
