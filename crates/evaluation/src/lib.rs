@@ -3,7 +3,7 @@
 //! 1. [`context`]: settings, baselines' walls and error units, the same for all predictors; [`window`]: the frames
 //!    of a stream from which rollouts start.
 //! 2. [`predictor`]: everything that predicts: models ([`model_rollout`]: they see observed frames, then their
-//!    own output), rollouts [`recorded`] by other programs, trivial [`baseline`]s, the solver [`restart`]ed from the same observation, and the truth from
+//!    own output), rollouts [`recorded`] by other programs, the trivial predictors ([`Baseline`](eddy_inference::engine::Baseline)), the solver [`restart`]ed from the same observation, and the truth from
 //!    slightly displaced positions ([`chaos`]). [`task`] is what they predict, [`rollout`] the result.
 //! 3. [`errors`]: squared errors summed over windows, by material and frame ahead; [`steps`]: the
 //!    same for one-step predictions.
