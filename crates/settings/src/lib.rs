@@ -105,6 +105,17 @@ impl Overrides {
         Ok(Self { file: file.to_owned(), table: table(file, text)? })
     }
 
+    /// Calls the top-level key `old` by its present name, unless the file has that too.
+    #[must_use]
+    pub fn renamed(mut self, old: &str, present: &str) -> Self {
+        if !self.table.contains_key(present)
+            && let Some(value) = self.table.remove(old)
+        {
+            self.table.insert(present.to_owned(), value);
+        }
+        self
+    }
+
     /// The value of a top-level key, for keys that decide on the defaults.
     ///
     /// # Errors
@@ -187,6 +198,17 @@ mod tests {
     fn a_file_holds_only_what_differs_from_the_defaults() {
         let expected = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 1.0 } };
         assert_eq!(over("[loss]\ndensity = 1.0"), Ok(expected));
+    }
+
+    #[test]
+    fn an_old_key_is_read_by_its_present_name() {
+        let read = |text: &str| {
+            let overrides = Overrides::parse("settings.toml".as_ref(), text).unwrap();
+            overrides.renamed("cost", "loss").over(&DEFAULTS)
+        };
+        let expected = Settings { epochs: 10, loss: Loss { velocity: 0.5, density: 1.0 } };
+        assert_eq!(read("[cost]\ndensity = 1.0").unwrap(), expected);
+        assert!(read("[cost]\ndensity = 1.0\n[loss]\nvelocity = 1.0").is_err(), "both");
     }
 
     #[test]

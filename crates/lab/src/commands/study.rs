@@ -46,7 +46,7 @@ pub fn request(choice: StudyChoice) -> anyhow::Result<StudyRequest> {
         _ => StudyConfig::quick(),
     };
     let study = match &config {
-        Some(file) => Overrides::read(file)?.over(&defaults)?,
+        Some(file) => Overrides::read(file)?.renamed("judging", "evaluation").over(&defaults)?,
         None => defaults,
     };
     let request = StudyRequest { comparison, study, output, jobs, device, gpus, precision };
