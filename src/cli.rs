@@ -43,7 +43,7 @@ pub use service::{
 };
 pub use simulate::{SceneArgs, SimulateArgs, Stiffness};
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
-pub use values::{ComputeDevice, NetworkDevice};
+pub use values::Device;
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Global options";
@@ -493,8 +493,8 @@ pub struct PredictArgs {
     /// [default: one per core, at most 8].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the network runs: cpu, cpu:bf16 to multiply in bfloat16 on a processor with AVX-512 BF16 (particle models), cuda for an
+    /// Where the network runs: cpu, cuda for an
     /// NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = NetworkDevice::parse)]
-    pub device: NetworkDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::parse)]
+    pub device: Device,
 }

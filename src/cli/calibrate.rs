@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 
-use super::NetworkDevice;
+use super::Device;
 use eddy_evaluation::DEFAULT_STARTS;
 
 /// `eddy calibrate`
@@ -36,8 +36,8 @@ pub struct CalibrateArgs {
     /// Number of scenes to roll out in parallel [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the checkpoint runs: cpu, cpu:bf16 to multiply in bfloat16 on a processor with AVX-512 BF16 (particle models), cuda for an
+    /// Where the checkpoint runs: cpu, cuda for an
     /// NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = NetworkDevice::parse)]
-    pub device: NetworkDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::parse)]
+    pub device: Device,
 }

@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, ValueEnum};
 
-use super::NetworkDevice;
+use super::Device;
 use eddy_evaluation::DEFAULT_STARTS;
 use eddy_inference::checkpoint::Rule;
 
@@ -74,10 +74,10 @@ pub struct EvalArgs {
     /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the checkpoints run: cpu, cpu:bf16 to multiply in bfloat16 on a processor with AVX-512 BF16 (particle models), cuda for an
+    /// Where the checkpoints run: cpu, cuda for an
     /// NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = NetworkDevice::parse)]
-    pub device: NetworkDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::parse)]
+    pub device: Device,
 }
 
 /// Name and bag of recorded rollouts.

@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 
-use super::{NetworkDevice, RosArgs};
+use super::{Device, RosArgs};
 use crate::commands::real_time::CpuList;
 use eddy_node::surrogate::NodeOptions;
 use eddy_transport::{Link, ListenAddress, Reliability};
@@ -37,10 +37,10 @@ pub struct NodeArgs {
     /// [default: one per core, at most 8].
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// Where the network runs: cpu, cpu:bf16 to multiply in bfloat16 on a processor with AVX-512 BF16 (particle models), cuda for an
+    /// Where the network runs: cpu, cuda for an
     /// NVIDIA GPU, cuda:1 for the second.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = NetworkDevice::parse)]
-    pub device: NetworkDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::parse)]
+    pub device: Device,
     /// Serve a live page of truth and prediction on this port, address or both; port 0 takes any free port
     /// [without a value: 127.0.0.1:8080].
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8080")]

@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 
-use super::{ComputeDevice, values};
+use super::{Device, values};
 use crate::commands::simulate;
 use eddy_mpm::{Law, ParticleOrder};
 use eddy_transport::{Link, Reliability};
@@ -90,8 +90,8 @@ pub struct SceneArgs {
     pub fields: bool,
     /// Where the solver runs: cpu, cuda for an NVIDIA GPU, cuda:1 for the second. A GPU simulates up to 256 scenes side by
     /// side, and its results differ from the processor's by rounding.
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = ComputeDevice::parse)]
-    pub device: ComputeDevice,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::parse)]
+    pub device: Device,
 }
 
 /// Young's modulus of scenes (density x velocity^2).

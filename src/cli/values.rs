@@ -1,7 +1,5 @@
 //! Parsers of option values.
 
-use eddy_inference::engine::Precision;
-
 /// A duration from 0 (s), up to the longest between two times of ROS: a bag may begin at time 0 and go on today.
 pub(super) fn seconds(text: &str) -> Result<f64, String> {
     number(text, |seconds| (0.0..=9e9).contains(&seconds), "0 to 9e9 s")
@@ -32,9 +30,9 @@ fn number(text: &str, is_valid: impl Fn(f64) -> bool, expected: &str) -> Result<
     }
 }
 
-/// Where the solver runs.
+/// Where the solver runs, or a network predicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ComputeDevice {
+pub enum Device {
     /// On the processor.
     Cpu,
     /// On the NVIDIA GPU of this number.
@@ -42,50 +40,22 @@ pub enum ComputeDevice {
     Cuda(u8),
 }
 
-impl ComputeDevice {
+impl Device {
+    #[cfg(feature = "cuda")]
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        use eddy_cuda::{MOST_GPUS, gpu_number};
+        let expected = || format!("expected cpu, cuda or cuda:N, N up to {}", MOST_GPUS - 1);
+        match text {
+            "cpu" => Ok(Self::Cpu),
+            _ => gpu_number(text).map(Self::Cuda).ok_or_else(expected),
+        }
+    }
+
+    #[cfg(not(feature = "cuda"))]
     pub(super) fn parse(text: &str) -> Result<Self, String> {
         match text {
             "cpu" => Ok(Self::Cpu),
-            #[cfg(feature = "cuda")]
-            _ => gpu(text, "cpu").map(Self::Cuda),
-            #[cfg(not(feature = "cuda"))]
-            _ => Err(no_gpu("cpu")),
+            _ => Err("expected cpu: this program was built without the feature cuda".to_owned()),
         }
     }
-}
-
-/// Where a network predicts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NetworkDevice {
-    /// On the processor, with factors of this precision.
-    Cpu(Precision),
-    /// On the NVIDIA GPU of this number.
-    #[cfg(feature = "cuda")]
-    Cuda(u8),
-}
-
-impl NetworkDevice {
-    pub(super) fn parse(text: &str) -> Result<Self, String> {
-        match text {
-            "cpu" => Ok(Self::Cpu(Precision::Single)),
-            "cpu:bf16" => Ok(Self::Cpu(Precision::Bf16)),
-            #[cfg(feature = "cuda")]
-            _ => gpu(text, "cpu, cpu:bf16").map(Self::Cuda),
-            #[cfg(not(feature = "cuda"))]
-            _ => Err(no_gpu("cpu or cpu:bf16")),
-        }
-    }
-}
-
-/// The number of an NVIDIA GPU, beside devices of other names.
-#[cfg(feature = "cuda")]
-fn gpu(text: &str, others: &str) -> Result<u8, String> {
-    use eddy_cuda::{MOST_GPUS, gpu_number};
-    let expected = || format!("expected {others}, cuda or cuda:N, N up to {}", MOST_GPUS - 1);
-    gpu_number(text).ok_or_else(expected)
-}
-
-#[cfg(not(feature = "cuda"))]
-fn no_gpu(others: &str) -> String {
-    format!("expected {others}: this program was built without the feature cuda")
 }

@@ -3,7 +3,7 @@
 use std::num::NonZeroU32;
 
 use super::{Interrupt, TerminalProgress, allocator, simulate};
-use crate::cli::{ComputeDevice, PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
+use crate::cli::{Device, PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
 use eddy_evaluation::dataset::simulate::MOST_SCENES;
 use eddy_lab::{commands, plans::LongJob};
 use eddy_learning::model::DeviceKind;
@@ -25,9 +25,9 @@ fn simulation(args: &PlanSimulateArgs) -> anyhow::Result<()> {
     let PlanSimulateArgs { file, scenes, output, tasks } = args;
     let request = simulate::request(scenes, None)?;
     let device = match scenes.device {
-        ComputeDevice::Cpu => DeviceKind::Flex,
+        Device::Cpu => DeviceKind::Flex,
         #[cfg(feature = "cuda")]
-        ComputeDevice::Cuda(number) => DeviceKind::Cuda(number),
+        Device::Cuda(number) => DeviceKind::Cuda(number),
     };
     let per_task = per_task(tasks.scenes_per_task, device);
     let plan = LongJob::simulate(&request, output, device, per_task);

@@ -8,14 +8,14 @@ use eddy_inference::{
     engine::{ModelError, Surrogate},
 };
 
-use crate::cli::NetworkDevice;
+use crate::cli::Device;
 
 /// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default. On a GPU, the
 /// threads copy frames.
 pub(super) fn load(
     path: Option<&Path>,
     threads: Option<NonZeroUsize>,
-    device: NetworkDevice,
+    device: Device,
 ) -> anyhow::Result<Surrogate> {
     let checkpoint = Checkpoint::load_or_shipped(path)?;
     let name = path.map_or("the shipped checkpoint".into(), |path| path.display().to_string());
@@ -26,13 +26,11 @@ pub(super) fn load(
 pub(super) fn on_device(
     checkpoint: &Checkpoint,
     threads: Option<NonZeroUsize>,
-    device: NetworkDevice,
+    device: Device,
 ) -> Result<Surrogate, ModelError> {
     match device {
-        NetworkDevice::Cpu(precision) => Surrogate::load_in(checkpoint, threads, precision),
+        Device::Cpu => Surrogate::load(checkpoint, threads),
         #[cfg(feature = "cuda")]
-        NetworkDevice::Cuda(number) => {
-            eddy_cuda::load_surrogate(checkpoint, threads, number.into())
-        }
+        Device::Cuda(number) => eddy_cuda::load_surrogate(checkpoint, threads, number.into()),
     }
 }

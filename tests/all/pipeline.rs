@@ -2,11 +2,9 @@
 
 use std::fs;
 
-use eddy_bag::BagReader;
-use eddy_frames::Frame;
 use eddy_inference::checkpoint::Checkpoint;
 
-use crate::support::{eddy, simulate, succeed, talking_eddy};
+use crate::support::{simulate, succeed, talking_eddy};
 
 #[test]
 fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
@@ -62,36 +60,4 @@ fn training_losses(csv: &str) -> Vec<f64> {
     let mut lines = csv.lines();
     let column = lines.next().unwrap().split(',').position(|c| c == "training_loss").unwrap();
     lines.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect()
-}
-
-#[test]
-fn predictions_in_bfloat16_are_near_those_in_single_precision() {
-    let folder = tempfile::tempdir().unwrap();
-    let frames = |device: &str| {
-        let output = folder.path().join(device);
-        let arguments = ["predict", "--input", "bags/sample", "--device", device, "--output"];
-        let predicted = eddy().args(arguments).arg(&output).output().unwrap();
-        if !predicted.status.success() {
-            return Err(String::from_utf8(predicted.stderr).unwrap());
-        }
-        let bag = BagReader::open(&output).unwrap();
-        Ok(bag.frames("/prediction").unwrap().map(|frame| frame.unwrap()).collect::<Vec<_>>())
-    };
-    let single = frames("cpu").unwrap();
-    let rounded = match frames("cpu:bf16") {
-        Ok(rounded) => rounded,
-        Err(said) => {
-            let expected = "precision: found bf16, expected a processor with AVX-512";
-            return assert!(said.contains(expected), "{said}");
-        }
-    };
-    assert_eq!(rounded.len(), single.len());
-    let positions = |frames: &[Frame]| -> Vec<[f32; 2]> {
-        frames.iter().flat_map(|frame| frame.position.clone()).collect()
-    };
-    let (single, rounded) = (positions(&single), positions(&rounded));
-    assert_ne!(rounded, single);
-    let farthest = single.iter().zip(&rounded).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
-    let farthest = farthest.fold(0.0, f32::max);
-    assert!(farthest < 1e-3, "{farthest}");
 }

@@ -29,7 +29,7 @@ use super::{
     output::{Output, OutputKind, unused},
     surrogate,
 };
-use crate::cli::{DemoArgs, NetworkDevice};
+use crate::cli::{DemoArgs, Device};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_evaluation::{
     Settings,
@@ -37,7 +37,6 @@ use eddy_evaluation::{
     evaluate_model,
 };
 use eddy_frames::{Stamp, clock, decimal};
-use eddy_inference::engine::Precision;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
 use eddy_node::{
     FrameQueue, NodeContext, NodeHandle, NodeSettings, OpenClock, Outputs, Pacer, PlayerHandle,
@@ -61,8 +60,7 @@ const AHEAD: u32 = 20;
 pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let folder = args.output.clone().unwrap_or_else(|| unused(Path::new(DEFAULT_OUTPUT)));
     let output = Output::at(&folder, OutputKind::Demo, args.force, &[])?;
-    let surrogate =
-        surrogate::load(args.checkpoint.as_deref(), None, NetworkDevice::Cpu(Precision::Single))?;
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), None, Device::Cpu)?;
     let comparison = Comparison::new(surrogate.description());
     let info = PageInfo {
         command: "demo",

@@ -15,7 +15,7 @@ use super::{
     Interrupt, TerminalProgress,
     output::{Output, OutputKind},
 };
-use crate::cli::{ComputeDevice, SceneArgs, SimulateArgs, Stiffness};
+use crate::cli::{Device, SceneArgs, SimulateArgs, Stiffness};
 use eddy_evaluation::dataset::simulate::{
     Job, MOST_SCENES, SimulateError, SimulationRequest, Source,
 };
@@ -79,11 +79,11 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
 }
 
 /// The device of this name; `None` for the processor.
-fn open(device: ComputeDevice) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
+fn open(device: Device) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
     match device {
-        ComputeDevice::Cpu => Ok(None),
+        Device::Cpu => Ok(None),
         #[cfg(feature = "cuda")]
-        ComputeDevice::Cuda(number) => Ok(Some(Box::new(eddy_cuda::open_solver(number.into())?))),
+        Device::Cuda(number) => Ok(Some(Box::new(eddy_cuda::open_solver(number.into())?))),
     }
 }
 
@@ -122,7 +122,7 @@ pub(super) fn request(
         seed: args.seed,
         settings: Settings { stiffness, law, viscosity, substeps, duration, order },
         fields: args.fields,
-        device: (args.device != ComputeDevice::Cpu).then_some("cuda"),
+        device: (args.device != Device::Cpu).then_some("cuda"),
         threads,
     })
 }

@@ -16,6 +16,8 @@ pub use compile::{Target, compile};
 pub use library::{GpuDescription, check, list};
 pub use peers::GroupId;
 
+pub use eddy_inference::engine::Precision;
+
 use std::{
     collections::{BTreeMap, HashMap},
     path::Path,
@@ -38,26 +40,6 @@ use crate::{
 };
 use peers::Peers;
 use products::Products;
-
-/// How products are computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Precision {
-    /// Factors rounded to TF32 (10 bits of mantissa), sums in f32, on tensor cores.
-    #[default]
-    Tf32,
-    /// All in f32.
-    Fp32,
-}
-
-impl Precision {
-    /// The word in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tf32 => "tf32",
-            Self::Fp32 => "fp32",
-        }
-    }
-}
 
 /// Keeps apart, on one device, the recording of graphs from calls that get memory, modules or handles, or give them back.
 ///

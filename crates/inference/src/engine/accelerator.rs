@@ -2,9 +2,33 @@
 
 use std::{any::Any, fmt};
 
+use serde::{Deserialize, Serialize};
+
 use super::ModelError;
 use crate::kernels::{lattice::Lattices, rest_shape::RestShape};
 use eddy_frames::{Domain, Frame, FrameView};
+
+/// How an NVIDIA GPU computes products.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Factors rounded to TF32 (10 bits of mantissa), sums in f32, on tensor cores.
+    #[default]
+    Tf32,
+    /// All in f32.
+    Fp32,
+}
+
+impl Precision {
+    /// The word in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Tf32 => "tf32",
+            Self::Fp32 => "fp32",
+        }
+    }
+}
 
 /// A device that predicts streams with one network and corrects them by its rules. The hidden states stay on it.
 ///

@@ -18,12 +18,6 @@ pub enum ModelError {
     /// The device that predicts has failed.
     #[error("{0}")]
     Device(String),
-    /// The factors cannot be multiplied in bfloat16.
-    #[error("precision: found bf16, expected {expected}")]
-    Precision {
-        /// What can.
-        expected: &'static str,
-    },
     /// The frame model was trained on another number of particles.
     #[error("particles: found {found}, expected {expected} as in the checkpoint")]
     Particles {

@@ -8,10 +8,9 @@ use std::{collections::BTreeMap, ops::Range};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    Ballistic, Precision,
+    Ballistic,
     linear::{SplitLinear, load, store},
     merged::MERGED_NODE_FEATURES,
-    pair_grid::PairGrid,
     products::{Gathered, Output, Rows, Sink, Source, apply},
     scales::{FULL_MASS, MIN_MASS},
     scatter::Segments,
@@ -40,7 +39,7 @@ struct Layer {
     plan: GridLayer,
     /// The list that is added, of a layer that reads parents.
     skip: Option<usize>,
-    /// One matrix, or one per child; none if the layers in bfloat16 are used.
+    /// One matrix, or one per child.
     linears: Vec<SplitLinear>,
 }
 
@@ -48,8 +47,6 @@ struct Layer {
 #[derive(Debug)]
 pub(super) struct Grid {
     layers: Vec<Layer>,
-    /// The same layers in bfloat16, which are then used.
-    pairs: Option<PairGrid>,
     /// Level of each list, and length of its rows, padded to whole panels of the layers that write it.
     lists: Vec<(usize, usize)>,
     pub(super) cell_width: f32,
@@ -65,59 +62,25 @@ pub(super) struct Scratch {
     pub(super) nodes: Nodes,
     /// The lists, `[nodes + 1, its stride]`; the last row is zero.
     pub(super) fields: [Vec<f32>; MAX_LISTS],
-    /// The lists in bfloat16, two numbers in each one, if layers read them.
-    pub(super) pairs: [Vec<u32>; MAX_LISTS],
     /// Proximity to the left and right wall of each column of nodes from [`FIRST_COLUMN`] on.
     pub(super) columns: Vec<[f32; 2]>,
 }
 
 /// The lists of [`Scratch`], shared between threads.
-pub(super) struct Fields<'a> {
-    pub(super) numbers: [DisjointSlice<'a, f32>; MAX_LISTS],
-    pub(super) pairs: [DisjointSlice<'a, u32>; MAX_LISTS],
-}
-
-/// What a layer reads and writes for a block of nodes.
-#[cfg_attr(
-    not(target_arch = "x86_64"),
-    expect(dead_code, reason = "only layers in bfloat16 read it")
-)]
-pub(super) struct Block<'a> {
-    pub(super) plan: &'a GridLayer,
-    /// The level of the nodes that it is computed for.
-    pub(super) level: &'a Level,
-    /// These nodes.
-    pub(super) nodes: Range<usize>,
-    /// Length of the rows that it reads.
-    pub(super) source_width: usize,
-    /// Index of the row of zeros that it reads for missing nodes.
-    pub(super) zero: usize,
-    /// Length of the rows that it writes.
-    pub(super) width: usize,
-    /// The list that is added, of a layer that reads parents.
-    pub(super) skip: Option<usize>,
-}
+pub(super) type Fields<'a> = [DisjointSlice<'a, f32>; MAX_LISTS];
 
 impl Grid {
-    /// Packs the layers of a grid from the tensors of [`merged`](super::merged), in `precision` if the instruction set has it.
+    /// Packs the layers of a grid from the tensors of [`merged`](super::merged).
     pub(super) fn pack(
         lanes: usize,
-        precision: Precision,
         grid: &GridOptions,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
         let tensors = |layer: &GridLayer| layout::names(&layer.name).map(|name| &tensors[&name]);
         let plans = grid_layers(grid);
-        let pairs = match precision {
-            Precision::Single => None,
-            Precision::Bf16 => {
-                PairGrid::pack(lanes, plans.iter().map(|plan| (plan, tensors(plan))))
-            }
-        };
         let linears = |layer: &GridLayer| {
             let [weight, bias] = tensors(layer);
             match layer.stencil {
-                _ if pairs.is_some() => vec![],
                 Stencil::Neighbours | Stencil::Children => {
                     vec![SplitLinear::pack(lanes, weight, bias)]
                 }
@@ -146,17 +109,11 @@ impl Grid {
         lists[WRITTEN].1 = inputs.next_multiple_of(lanes);
         Self {
             layers,
-            pairs,
             lists,
             cell_width: grid.cell_width,
             levels: grid.channels.len(),
             encoded: inputs - MERGED_NODE_FEATURES,
         }
-    }
-
-    /// Whether layers have their factors in bfloat16.
-    pub(super) fn is_in_bf16(&self) -> bool {
-        self.pairs.is_some()
     }
 
     /// Number of layers.
@@ -181,12 +138,9 @@ impl Grid {
 
     /// Resizes the lists to the nodes.
     pub(super) fn resize(&self, scratch: &mut Scratch) {
-        let Scratch { nodes, fields, pairs, .. } = scratch;
-        for ((numbers, pairs), &(level, width)) in fields.iter_mut().zip(pairs).zip(&self.lists) {
-            resize(numbers, nodes.level(level), width);
-            if self.pairs.is_some() {
-                resize(pairs, nodes.level(level), width / 2);
-            }
+        let Scratch { nodes, fields, .. } = scratch;
+        for (field, &(level, width)) in fields.iter_mut().zip(&self.lists) {
+            resize(field, nodes.level(level), width);
         }
     }
 
@@ -209,7 +163,7 @@ impl Grid {
         let (encoded, width) = (self.encoded, self.stride(WRITTEN));
         let own = range(row.nodes);
         // SAFETY: only this item uses these nodes.
-        let written = unsafe { fields.numbers[WRITTEN].part(own.start * width..own.end * width) };
+        let written = unsafe { fields[WRITTEN].part(own.start * width..own.end * width) };
         written.fill(0.0);
         segments.join(simd, nodes, row, sums, width, written);
         let at = &nodes.level(0).at[own.clone()];
@@ -225,11 +179,6 @@ impl Grid {
             let [left, right] = walls.columns[(column - FIRST_COLUMN) as usize];
             let features = [mass / FULL_MASS, left, vertical[0], right, vertical[1]];
             written[encoded + 1..encoded + MERGED_NODE_FEATURES].copy_from_slice(&features);
-        }
-        if let Some(pairs) = &self.pairs {
-            let own = own.start * width / 2..own.end * width / 2;
-            // SAFETY: as above.
-            pairs.round(written, unsafe { fields.pairs[WRITTEN].part(own) });
         }
     }
 
@@ -249,11 +198,6 @@ impl Grid {
         let (source_level, source_width) = self.lists[from];
         let zero = nodes.level(source_level).len();
         let own = item * BLOCK..((item + 1) * BLOCK).min(level.len());
-        if let Some(pairs) = &self.pairs {
-            let block = Block { plan, level, nodes: own, source_width, zero, width, skip };
-            return pairs.layer(number, block, fields);
-        }
-        let fields = &fields.numbers;
         // SAFETY: this stage does not write to this list.
         let numbers = unsafe { fields[from].read(0..fields[from].len()) };
         let rows = Rows { numbers, width: source_width };
@@ -299,7 +243,7 @@ impl Grid {
 }
 
 /// The matrix of each child, of a layer that reads parents; all share the bias.
-pub(super) fn by_child(weight: &Weights, bias: &Weights) -> [Weights; 4] {
+fn by_child(weight: &Weights, bias: &Weights) -> [Weights; 4] {
     let shape = [bias.values.len(), weight.shape[1]];
     let length = shape[0] * shape[1];
     [0, 1, 2, 3].map(|child| Weights {
@@ -309,12 +253,12 @@ pub(super) fn by_child(weight: &Weights, bias: &Weights) -> [Weights; 4] {
 }
 
 /// Resizes a list to the nodes of a level, with a row of zeros behind them, and reserves as much as they can grow without allocating.
-fn resize<T: Clone + Default>(list: &mut Vec<T>, level: &Level, width: usize) {
+fn resize(list: &mut Vec<f32>, level: &Level, width: usize) {
     let length = level.len() * width;
     list.truncate(length);
     list.reserve((level.capacity() + 1) * width - list.len());
-    list.resize(length, T::default());
-    list.resize(length + width, T::default());
+    list.resize(length, 0.0);
+    list.resize(length + width, 0.0);
 }
 
 /// Writes to one child of each parent of a block: ReLU of the sum with the skip connection.

@@ -10,8 +10,7 @@
 //!    (Table 1), whose outputs [`Decoded`] turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
-//!    `merged` combines layers that have no activation between them. `pair_blocks` and `pair_grid` have layers in bfloat16
-//!    (`bf16`).
+//!    `merged` combines layers that have no activation between them.
 //! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
 //!    predictor.
 //! 8. [`fits()`]: which frames a network can predict. [`Warning`]: what a stream states compared with what a network was trained on.
@@ -28,8 +27,6 @@
 mod accelerator;
 mod ballistic;
 mod baseline;
-#[cfg(target_arch = "x86_64")]
-mod bf16;
 mod core;
 mod decoded;
 mod encoder;
@@ -41,16 +38,6 @@ mod hidden_state;
 mod linear;
 mod merged;
 mod order;
-#[cfg(target_arch = "x86_64")]
-mod pair_blocks;
-#[cfg(not(target_arch = "x86_64"))]
-#[path = "no_pair_blocks.rs"]
-mod pair_blocks;
-#[cfg(target_arch = "x86_64")]
-mod pair_grid;
-#[cfg(not(target_arch = "x86_64"))]
-#[path = "no_pair_grid.rs"]
-mod pair_grid;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
@@ -65,7 +52,7 @@ mod warning;
 #[cfg(test)]
 mod tests;
 
-pub use accelerator::{Accelerator, DeviceState, DeviceStep, StreamStart};
+pub use accelerator::{Accelerator, DeviceState, DeviceStep, Precision, StreamStart};
 pub use ballistic::Ballistic;
 pub use baseline::Baseline;
 pub use decoded::Decoded;
@@ -74,5 +61,5 @@ pub use fits::fits;
 pub use hidden_state::HiddenState;
 pub use rules::{Corrector, lattices};
 pub use stepper::{StepRequest, Stepper};
-pub use surrogate::{Precision, Surrogate};
+pub use surrogate::Surrogate;
 pub use warning::{Stated, StreamSetup, Warning, warnings};

@@ -13,29 +13,9 @@ use super::{
     products::{Columns, Output, Rows, Sum, apply},
 };
 use crate::{checkpoint::grid::READ, kernels::transfer::gather};
-use eddy_threads::DisjointSlice;
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;
-
-/// Particles that have gathered from the nodes, for layers in bfloat16.
-#[cfg_attr(
-    not(target_arch = "x86_64"),
-    expect(dead_code, reason = "only layers in bfloat16 read it")
-)]
-pub(super) struct GatheredBlock<'a> {
-    /// Their features, `[F, BLOCK]`.
-    pub(super) features: &'a [f32],
-    /// What they have gathered.
-    pub(super) gathered: Rows<'a>,
-    /// Their rows of hidden states in the first layer.
-    pub(super) particles: &'a [u32],
-    /// Number of rows of a layer.
-    pub(super) rows: usize,
-    /// Length of these rows.
-    pub(super) width: usize,
-    pub(super) hidden: DisjointSlice<'a, f32>,
-}
 
 impl StepContext<'_> {
     /// The slots of an item.
@@ -97,7 +77,7 @@ impl StepContext<'_> {
         let (block, channels, width) = (self.block(item), model.grid.read_width(), self.width);
         let particles = &self.nodes.order()[block.clone()];
         let (count, length) = (block.len(), model.columns());
-        let field = &self.fields.numbers[READ];
+        let field = &self.fields[READ];
         // SAFETY: no other running item has this thread number, and this stage only reads the other lists.
         let (buffers, columns, ballistic_motion, field) = unsafe {
             (
@@ -107,7 +87,7 @@ impl StepContext<'_> {
                 field.read(0..self.nodes.level(0).len() * channels),
             )
         };
-        let LayerBuffers { input, output, states: new_cells, pairs } = buffers;
+        let LayerBuffers { input, output, states: new_cells } = buffers;
         gather(
             simd,
             self.nodes,
@@ -119,19 +99,6 @@ impl StepContext<'_> {
             input,
         );
         let gathered = Rows { numbers: input, width: channels };
-        if let Some(layers) = &model.pairs {
-            let gathered = GatheredBlock {
-                features: columns,
-                gathered,
-                particles,
-                rows: self.nodes.order().len(),
-                width,
-                hidden: self.hidden,
-            };
-            let length = model.decoder.stride();
-            layers.decode(&model.core, &gathered, pairs, (output, length));
-            return self.predict(particles, ballistic_motion, output);
-        }
         let features = Columns { numbers: columns, length: BLOCK };
         let mut sink = Sum { numbers: output, width, added: gathered };
         apply(simd, &model.context, count, &features, &mut sink);

@@ -11,14 +11,12 @@ use std::collections::BTreeMap;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    Precision,
     core::CoreLayer,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{HiddenState, stride},
     linear::{Linear, SplitLinear},
     merged::merged,
     order::reorder,
-    pair_blocks::{PairBlocks, PairBuffer},
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
     rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
@@ -50,8 +48,6 @@ pub(super) struct ParticleModel {
     pub(super) core: Vec<CoreLayer>,
     pub(super) mixer: SplitLinear,
     pub(super) decoder: SplitLinear,
-    /// Context, core, mixer and decoder in bfloat16, which are then used.
-    pub(super) pairs: Option<PairBlocks>,
     /// H.
     pub(super) hidden: usize,
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
@@ -89,14 +85,11 @@ pub(super) struct LayerBuffers {
     pub(super) output: Vec<f32>,
     /// What the features are computed from, `[STATE_COLUMNS, BLOCK]`, or the new cells of a layer of the core, `[BLOCK, its width]`.
     pub(super) states: Vec<f32>,
-    /// Between layers in bfloat16.
-    pub(super) pairs: PairBuffer,
 }
 
 impl ParticleModel {
     pub(super) fn pack(
         arch: Arch,
-        precision: Precision,
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
@@ -106,7 +99,7 @@ impl ParticleModel {
         let tensors = &merged(grid, tensors);
         let linear = |layer| SplitLinear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
-        let grid = Grid::pack(lanes, precision, grid, tensors);
+        let grid = Grid::pack(lanes, grid, tensors);
         let rules = RuleSet::new(description);
         Self {
             arch,
@@ -118,10 +111,6 @@ impl ParticleModel {
                 .collect(),
             mixer: linear("mixer"),
             decoder: linear("decoder"),
-            pairs: match precision {
-                Precision::Single => None,
-                Precision::Bf16 => PairBlocks::pack(lanes, description, tensors),
-            },
             hidden: description.sizes.hidden,
             slowest,
             fastest,
@@ -153,10 +142,6 @@ impl ParticleModel {
             input: zeros(widest),
             output: zeros(widest),
             states: zeros(states.max(STATE_COLUMNS)),
-            pairs: self
-                .pairs
-                .as_ref()
-                .map_or_else(PairBuffer::default, |pairs| pairs.buffer(states)),
         };
         Scratch {
             grid: grid::Scratch::default(),
@@ -199,7 +184,7 @@ impl ParticleModel {
             rules,
             buffers,
         } = scratch;
-        let grid::Scratch { nodes, fields, pairs, columns } = grid;
+        let grid::Scratch { nodes, fields, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
             position,
@@ -235,10 +220,7 @@ impl ParticleModel {
             features: DisjointSlice::new(features),
             sums: DisjointSlice::new(segment_sums),
             ballistic_motion: DisjointSlice::new(ballistic_motion),
-            fields: Fields {
-                numbers: fields.each_mut().map(|numbers| DisjointSlice::new(numbers)),
-                pairs: pairs.each_mut().map(|pairs| DisjointSlice::new(pairs)),
-            },
+            fields: fields.each_mut().map(|field| DisjointSlice::new(field)),
             buffers: DisjointSlice::new(buffers),
             hidden: DisjointSlice::new(&mut hidden_state.hidden),
             cell: DisjointSlice::new(&mut hidden_state.cell),

@@ -23,21 +23,9 @@ use eddy_frames::{Frame, FrameView, Stamp};
 /// More threads than this would idle: no layer has many more panels.
 const MAX_THREADS: usize = 256;
 
-/// Precision of the factors that most layers of a particle model multiply: those on the nodes of its grid, and those on
-/// particles after the grid if the core is minGRU or minLSTM. Their products are summed in single precision.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Precision {
-    /// 24 significant bits.
-    #[default]
-    Single,
-    /// bfloat16: eight significant bits, on processors with AVX-512 BF16, which was run on AMD's Zen 4. Predictions differ from those in
-    /// single precision; they are the same with any number of threads.
-    Bf16,
-}
-
 /// A trained network, packed for prediction. It does not change; a [`Stepper`] runs it.
 ///
-/// In single precision, the same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
+/// The same frames give the same bits, whatever other streams there are, with any number of threads, in any process,
 /// and on all processors that have AVX2 with FMA or AVX-512; a device has bits of its own. Other instruction sets round some products differently in
 /// the last place.
 ///
@@ -99,18 +87,6 @@ impl Surrogate {
         Self::load_for(checkpoint, threads, Arch::new())
     }
 
-    /// As [`Surrogate::load`], with factors of this precision.
-    ///
-    /// # Errors
-    /// As [`Surrogate::load`]; [`ModelError::Precision`] if the network is no particle model or the processor cannot multiply such factors.
-    pub fn load_in(
-        checkpoint: &Checkpoint,
-        threads: Option<NonZeroUsize>,
-        precision: Precision,
-    ) -> Result<Self, ModelError> {
-        Self::packed(checkpoint, threads, Arch::new(), precision)
-    }
-
     /// As [`Surrogate::load`], for a given instruction set of this processor.
     ///
     /// # Errors
@@ -120,30 +96,13 @@ impl Surrogate {
         threads: Option<NonZeroUsize>,
         arch: Arch,
     ) -> Result<Self, ModelError> {
-        Self::packed(checkpoint, threads, arch, Precision::Single)
-    }
-
-    fn packed(
-        checkpoint: &Checkpoint,
-        threads: Option<NonZeroUsize>,
-        arch: Arch,
-        precision: Precision,
-    ) -> Result<Self, ModelError> {
         let cores = || thread::available_parallelism().map_or(1, NonZeroUsize::get);
         let threads = threads.map_or_else(cores, NonZeroUsize::get).min(MAX_THREADS);
         let pack = move |Checkpoint { description, tensors, .. }: &Checkpoint| {
             Ok(match description.architecture {
-                Architecture::Frame if precision == Precision::Bf16 => {
-                    return Err(ModelError::Precision { expected: "a particle model" });
-                }
                 Architecture::Frame => Network::Frame(FrameModel::pack(arch, description, tensors)),
                 Architecture::Particle => {
-                    let model = ParticleModel::pack(arch, precision, description, tensors);
-                    if precision == Precision::Bf16 && !model.grid.is_in_bf16() {
-                        let expected = "a processor with AVX-512 and its extension BF16";
-                        return Err(ModelError::Precision { expected });
-                    }
-                    Network::Particle(model)
+                    Network::Particle(ParticleModel::pack(arch, description, tensors))
                 }
             })
         };

@@ -5,11 +5,10 @@ mod stiffness;
 #[path = "test_streams.rs"]
 mod streams;
 
-use pulp::Arch;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{HiddenState, ModelError, Precision, Surrogate, particle_model::ParticleModel};
+use super::{HiddenState, ModelError, Surrogate};
 use crate::checkpoint::{
     Architecture, Checkpoint, Core, Description, ElasticRule, FrameOptions, GridOptions,
     Normalization, Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
@@ -64,69 +63,6 @@ fn wide(core: Core) -> Vec<(Checkpoint, Vec<Frame>)> {
     decoder.flat_map(|(_, weights)| &mut weights.values).for_each(|value| *value *= 1e-3);
     let networks = [frame, both, particle].map(make).into_iter();
     networks.chain([(quiet, bodies(4, 6))]).collect()
-}
-
-#[test]
-fn products_in_bfloat16_are_those_of_single_precision_within_their_rounding() {
-    // Features are 23, or 24 with the stiffness.
-    let networks = [
-        (vec![16, 20], Core::MinGru, 17, 1, true),
-        (vec![16, 24, 20], Core::MinGru, 24, 3, false),
-        (vec![33, 40, 56, 47], Core::MinLstm, 24, 2, false),
-        (vec![20, 20], Core::MinLstm, 13, 1, true),
-        (vec![20, 20], Core::Gru, 24, 1, false),
-    ];
-    for (channels, core, hidden, layers, stiffness) in networks {
-        let sizes = Sizes { encoder: 17, hidden, layers, particles: None };
-        let mut description = description(Architecture::Particle, core, sizes);
-        description.grid.as_mut().unwrap().channels = channels;
-        description.stiffness = stiffness;
-        let (checkpoint, frames) = (checkpoint(description, 5), frames(4, 301, 6));
-        let load = |number| Surrogate::load_in(&checkpoint, threads(number), Precision::Bf16);
-        let rounded = match load(1) {
-            Ok(surrogate) => predict(&surrogate, &frames),
-            Err(error) => {
-                let expected = "a processor with AVX-512 and its extension BF16";
-                assert_eq!(
-                    error.to_string(),
-                    format!("precision: found bf16, expected {expected}")
-                );
-                #[cfg(target_arch = "x86_64")]
-                assert!(!is_x86_feature_detected!("avx512bf16"));
-                continue;
-            }
-        };
-        assert_eq!(predict(&load(3).unwrap(), &frames), rounded);
-        let Checkpoint { description, tensors, .. } = &checkpoint;
-        let model = ParticleModel::pack(Arch::new(), Precision::Bf16, description, tensors);
-        assert_eq!(model.pairs.is_some(), core != Core::Gru, "{core:?}");
-        let single = |checkpoint: &Checkpoint| {
-            predict(&Surrogate::load(checkpoint, threads(1)).unwrap(), &frames)
-        };
-        let differences = |exact: Vec<Frame>| -> Vec<f32> {
-            let pairs = exact.iter().zip(&rounded);
-            pairs.map(|(a, b)| largest_difference(&a.velocity, &b.velocity)).collect()
-        };
-        let found = differences(single(&checkpoint));
-        assert!(found.iter().all(|difference| *difference < 4e-3), "{core:?}: {found:?}");
-        // With the rows of any layer in another order, they differ by more.
-        for name in checkpoint.tensors.keys().filter(|name| name.ends_with("weight")) {
-            let mut other = checkpoint.clone();
-            let weights = &mut other.tensors.get_mut(name).unwrap().values;
-            let quarter = weights.len() / 4;
-            weights.rotate_left(quarter);
-            let wrong = differences(single(&other));
-            assert!(wrong[3] > 5e-3, "{core:?}: {name}: {found:?}, {wrong:?}");
-        }
-    }
-}
-
-#[test]
-fn the_frame_model_has_no_products_in_bfloat16() {
-    let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: Some(9) };
-    let frame = checkpoint(description(Architecture::Frame, Core::MinGru, sizes), 5);
-    let error = Surrogate::load_in(&frame, threads(1), Precision::Bf16).err().unwrap();
-    assert_eq!(error.to_string(), "precision: found bf16, expected a particle model");
 }
 
 #[test]

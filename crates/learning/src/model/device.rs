@@ -4,7 +4,8 @@ use std::{num::NonZeroUsize, panic};
 
 use burn::tensor::{Device, Tensor};
 #[cfg(feature = "cuda")]
-use eddy_cuda::{MOST_GPUS, gpu, gpu_number};
+use eddy_cuda::{MOST_GPUS, gpu_number};
+use eddy_inference::engine::Precision;
 use serde::{Deserialize, Serialize};
 
 use crate::ranks::ProcessOptions;
@@ -146,7 +147,7 @@ impl DeviceKind {
     pub fn check(self) -> Result<(), NoDevice> {
         #[cfg(feature = "cuda")]
         if let Self::Cuda(number) = self {
-            return gpu::check(number.into()).map_err(NoDevice::Cuda);
+            return eddy_cuda::gpu::check(number.into()).map_err(NoDevice::Cuda);
         }
         // burn reports a missing device by a panic, also on its own threads.
         let hook = panic::take_hook();
@@ -213,38 +214,6 @@ impl clap::ValueEnum for DeviceKind {
                 value.help("An NVIDIA GPU where it can train the network, otherwise flex")
             }
         })
-    }
-}
-
-/// How a GPU multiplies.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// Factors rounded to 10 bits of mantissa, sums in f32, on tensor cores.
-    #[default]
-    Tf32,
-    /// All in f32.
-    Fp32,
-}
-
-impl Precision {
-    /// Its name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tf32 => "tf32",
-            Self::Fp32 => "fp32",
-        }
-    }
-}
-
-#[cfg(feature = "cuda")]
-impl From<Precision> for gpu::Precision {
-    fn from(precision: Precision) -> Self {
-        match precision {
-            Precision::Tf32 => Self::Tf32,
-            Precision::Fp32 => Self::Fp32,
-        }
     }
 }
 

@@ -48,7 +48,8 @@ pub(crate) mod strain;
 
 mod device;
 
-pub use device::{DeviceKind, GpuOptions, NoDevice, Precision};
+pub use device::{DeviceKind, GpuOptions, NoDevice};
+pub use eddy_inference::engine::Precision;
 pub use reference::Reference;
 
 pub use eddy_inference::checkpoint::{Architecture, Core};

@@ -104,7 +104,7 @@ impl Learner {
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
         let program = program(description)?;
-        let precision = stores::precision(description, options.precision.into());
+        let precision = stores::precision(description, options.precision);
         let count = options.total();
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {

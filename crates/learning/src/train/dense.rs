@@ -110,7 +110,7 @@ pub fn train_dense(
         #[cfg(feature = "cuda")]
         DeviceKind::Cuda(number) => {
             let open = |constants: &dyn Program| {
-                let gpu = eddy_cuda::open_gpu(number.into(), constants, gpu.precision.into())?;
+                let gpu = eddy_cuda::open_gpu(number.into(), constants, gpu.precision)?;
                 Ok(Arc::new(gpu) as Arc<dyn eddy_cuda::device::Device>)
             };
             Trainer::on_device(config, activation, &weights, &open)
