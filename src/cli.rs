@@ -450,10 +450,6 @@ pub struct TrainArgs {
     /// multiple. Needs libnccl.
     #[arg(long, value_name = "N", default_value = "1")]
     pub gpus: NonZeroUsize,
-    /// Longest wait for the other processes that torchrun or Slurm have started (s). Each trains on one GPU: that of
-    /// --device, plus LOCAL_RANK or SLURM_LOCALID.
-    #[arg(long, value_name = "S", default_value = "60", value_parser = values::positive_seconds)]
-    pub rendezvous_timeout: f64,
 }
 
 /// `eddy bench`

@@ -1,9 +1,6 @@
 //! `eddy train`: from bags to a checkpoint.
 
-use std::{
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use eddy_evaluation::{
@@ -14,8 +11,7 @@ use eddy_evaluation::{
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Checkpoint, Description};
 use eddy_learning::{
-    model::{Architecture, DeviceKind, GpuOptions},
-    ranks::{Process, ProcessOptions, Timing},
+    model::{Architecture, GpuOptions},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         data_warnings, test_skill, train,
@@ -49,12 +45,8 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     output::on_disk(&args.output)?;
     let runs = runs(&args, &config)?;
     let device = args.device.resolve(config.runs_on_gpus());
-    let process = process(&args, device)?;
-    // The others write nothing, and what rank 0 prints is enough.
-    let leads = process.as_ref().is_none_or(Process::leads);
-    let quiet = quiet || !leads;
     let mut rooms = Vec::new();
-    for (_, output) in runs.iter().filter(|_| leads) {
+    for (_, output) in &runs {
         match check_output(output, args.resume) {
             Err(TrainError::Exists { .. }) if args.force => {
                 rooms.push(Output::at(output, OutputKind::Checkpoint, true, &args.data)?);
@@ -70,10 +62,8 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         device.name()
     );
     let dataset = load(&args, quiet)?;
-    if leads {
-        let warnings = data_warnings(&config, &dataset, start.as_ref());
-        warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    }
+    let warnings = data_warnings(&config, &dataset, start.as_ref());
+    warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     if !quiet {
         introduce(&config, &dataset);
     }
@@ -85,18 +75,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     for (config, output) in &runs {
         let run = Run {
             device,
-            gpu: GpuOptions {
-                count: args.gpus,
-                precision: args.precision,
-                process: process.as_ref().map(|process| ProcessOptions {
-                    process,
-                    timing: Timing {
-                        deadline: Duration::from_secs_f64(args.rendezvous_timeout),
-                        ..Timing::default()
-                    },
-                    abandon: &abandon,
-                }),
-            },
+            gpu: GpuOptions { count: args.gpus, precision: args.precision },
             output,
             start: start.as_ref(),
             resume: args.resume,
@@ -118,7 +97,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         if !quiet {
             summarize(&args, config, &dataset, output, &outcome)?;
         }
-        if leads && outcome.best.is_none() {
+        if outcome.best.is_none() {
             bail!("{}: interrupted before the first epoch ended", output.display());
         }
         let interrupted = outcome.interrupted;
@@ -127,7 +106,7 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             break;
         }
     }
-    if leads && outcomes.len() > 1 {
+    if outcomes.len() > 1 {
         let table = comparison(&outcomes, config.validation.horizon);
         println!("{}", table.framed(terminal::columns()));
     }
@@ -135,19 +114,11 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         rooms.into_iter().for_each(Output::replaced);
         return Ok(());
     };
-    let has_lost_another = matches!(failure, TrainError::OtherProcess { .. });
-    let error = match runs.as_slice() {
-        [_] => anyhow::Error::new(failure),
-        _ => {
-            let seed = runs[outcomes.len()].0.seed;
-            anyhow::Error::new(failure).context(format!("seed {seed}"))
-        }
-    };
-    if has_lost_another {
-        drop(rooms);
-        abandon(&format!("{error:#}"));
-    }
-    Err(error)
+    let error = anyhow::Error::new(failure);
+    Err(match runs.as_slice() {
+        [_] => error,
+        _ => error.context(format!("seed {}", runs[outcomes.len()].0.seed)),
+    })
 }
 
 /// The command line as checkpoints record it: without the path of the program and without the words that say where the checkpoint goes.
@@ -165,42 +136,6 @@ fn recorded_command(arguments: impl Iterator<Item = String>) -> String {
         }
     }
     recorded.join(" ")
-}
-
-/// The place of this process among several that train together, as torchrun or Slurm say it. On the CPU, tasks of Slurm are runs
-/// of their own.
-fn process(args: &TrainArgs, device: DeviceKind) -> anyhow::Result<Option<Process>> {
-    let process = Process::from_environment();
-    if !device.is_cuda() {
-        if let Ok(Some(process)) = process {
-            let (count, variable) = (process.count, process.count_variable);
-            let is_meant = variable == "WORLD_SIZE" || args.device != device;
-            ensure_usage!(
-                count == 1 || !is_meant,
-                "--device: found {} with {variable}={count}, expected --device cuda: processes train together on NVIDIA \
-                 GPUs only",
-                args.device.name()
-            );
-        }
-        return Ok(None);
-    }
-    let process = process?;
-    if let Some(Process { count, count_variable, .. }) = &process {
-        ensure_usage!(
-            args.gpus.get() == 1,
-            "--gpus: found {} with {count_variable}={count}, expected 1: each process has one GPU",
-            args.gpus
-        );
-    }
-    Ok(process)
-}
-
-/// Ends this process, whose libraries may still wait for one that was lost.
-fn abandon(sentence: &str) {
-    eprintln!("eddy: {sentence}");
-    terminal::flush();
-    // Without the libraries' own ends: NCCL's may be waiting too, or fail.
-    signal_hook::low_level::exit(1);
 }
 
 /// The defaults of the recipe, or of the checkpoint to start from; then the file, then the command line.

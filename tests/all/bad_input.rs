@@ -229,27 +229,6 @@ fn a_gpu_that_is_not_there_is_refused() {
     let arguments = ["predict", "--input", &bag, "--output", &folder.path("out"), "--device"];
     let train = ["train", "--data", &bag, "--output", &folder.path("out"), "--gpus", "2"];
     says(&fail(2, train), &["--gpus: found 2 with --device flex", "expected --device cuda"]);
-    let variables = |found: &[(&str, &str)], device: &str, expected: &[&str]| {
-        let mut command = eddy();
-        command.args([
-            "train",
-            "--data",
-            &bag,
-            "--output",
-            &folder.path("out"),
-            "--device",
-            device,
-        ]);
-        let output = command.envs(found.iter().copied()).output().unwrap();
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success());
-        says(&message, expected);
-    };
-    let two = [("RANK", "0"), ("LOCAL_RANK", "0"), ("WORLD_SIZE", "2"), ("MASTER_ADDR", "host")];
-    variables(&two, "flex", &["--device: found flex with WORLD_SIZE=2", "expected --device cuda"]);
-    let parts =
-        ["WORLD_SIZE: found nothing", "number of processes, since RANK is set (by torchrun)"];
-    variables(&two[..2], "cuda:15", &parts);
     // Without a driver, and with one but without so many GPUs.
     says(&fail(1, arguments.into_iter().chain(["cuda:15"])), &["device: found no", "expected"]);
     for found in ["gpu", "cuda:16", "cuda:", "cuda1"] {

@@ -2,10 +2,8 @@
 //!
 //! 1. [`model`]: the networks as tensor operations: the reference that everything else is tested against.
 //! 2. [`train`]: windows, losses, the training loop, checkpoints, resume.
-//! 3. [`ranks`]: processes that train together.
 
 pub mod model;
-pub mod ranks;
 pub mod train;
 
 /// The example of the README, which a test runs.

@@ -99,14 +99,6 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "needs an NVIDIA GPU and PyTorch",
     ),
     (
-        "torchrun --no-python --nproc-per-node 2 eddy train --data bags/mm --architecture frame --device cuda --output checkpoints/frame",
-        "needs two NVIDIA GPUs; tests/gpu/processes sets the variables",
-    ),
-    (
-        "srun --ntasks 2 --gpus 2 eddy train --data bags/mm --architecture frame --device cuda --output checkpoints/frame",
-        "needs two NVIDIA GPUs; tests/gpu/processes sets the variables",
-    ),
-    (
         "eddy simulate --preset kinds --scenes 400 --device cuda --output bags/gpu",
         "needs an NVIDIA GPU",
     ),

@@ -97,16 +97,6 @@ impl GroupId {
         nccl.check("ncclGetUniqueId", unsafe { (nccl.unique_id)(&raw mut id) })?;
         Ok(id)
     }
-
-    /// As bytes, for another process.
-    pub fn bytes(&self) -> &[u8; ID] {
-        &self.0
-    }
-
-    /// From the bytes of another process.
-    pub fn from_bytes(bytes: [u8; ID]) -> Self {
-        Self(bytes)
-    }
 }
 
 /// A GPU's membership in a group.

@@ -202,7 +202,7 @@ impl<'a> Work<'a> {
     }
 
     /// How a single GPU is used.
-    pub(super) fn gpu(&self) -> GpuOptions<'_> {
+    pub(super) fn gpu(&self) -> GpuOptions {
         GpuOptions { precision: self.precision, ..GpuOptions::default() }
     }
 

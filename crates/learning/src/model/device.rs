@@ -8,8 +8,6 @@ use eddy_cuda::{MOST_GPUS, gpu_number};
 use eddy_inference::engine::Precision;
 use serde::{Deserialize, Serialize};
 
-use crate::ranks::ProcessOptions;
-
 /// A compute device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "&'static str", try_from = "String")]
@@ -219,27 +217,17 @@ impl clap::ValueEnum for DeviceKind {
 
 /// How GPUs are used.
 #[derive(Clone, Copy, Debug)]
-pub struct GpuOptions<'a> {
+pub struct GpuOptions {
     /// How many GPUs train together, each on its part of every batch.
     pub count: NonZeroUsize,
     /// How they multiply.
     pub precision: Precision,
-    /// This process among several that train together, each on one GPU: that of the device's number plus the
-    /// process's number on its host.
-    pub process: Option<ProcessOptions<'a>>,
 }
 
-impl GpuOptions<'_> {
-    /// GPUs that train together, of all processes.
-    pub fn total(&self) -> usize {
-        self.process.map_or(self.count.get(), |options| options.process.count)
-    }
-}
-
-impl Default for GpuOptions<'_> {
+impl Default for GpuOptions {
     /// One GPU, in TF32.
     fn default() -> Self {
-        Self { count: NonZeroUsize::MIN, precision: Precision::default(), process: None }
+        Self { count: NonZeroUsize::MIN, precision: Precision::default() }
     }
 }
 

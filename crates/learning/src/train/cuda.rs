@@ -6,7 +6,7 @@
 mod batches;
 mod stores;
 
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 
 use super::{
     TrainConfig, TrainError,
@@ -18,14 +18,10 @@ use super::{
     validate,
     window::{Draw, Sampler},
 };
-use crate::{
-    model::GpuOptions,
-    ranks::{Group, Process},
-};
+use crate::model::GpuOptions;
 use eddy_cuda::{
-    device::{Device, Rank},
+    device::Device,
     frame::Place,
-    gpu::{self, GroupId},
     kernels::MATERIALS,
     open_gpu, open_group,
     training::{Batch, GROUP, InTraining, Outcome},
@@ -55,31 +51,6 @@ pub(super) struct Learner {
     validation: Option<Validation>,
 }
 
-/// The number of a process's GPU among those of its host. Where a launcher lets each process see a GPU of its own only,
-/// that one has the number 0.
-fn own_number(process: Option<&Process>) -> Result<usize, TrainError> {
-    let Some(process) = process else { return Ok(0) };
-    let is_single = process.local_rank > 0 && gpu::list()?.len() == 1;
-    Ok(if is_single { 0 } else { process.local_rank })
-}
-
-/// The name of a new group of GPUs, which rank 0 tells the other processes.
-fn share_id(group: &Group) -> Result<GroupId, TrainError> {
-    if group.leads() {
-        let id = GroupId::new()?;
-        group.tell(&id.bytes().map(|byte| format!("{byte:02x}")).concat());
-        return Ok(id);
-    }
-    let word = group.hear()?;
-    let byte = |at: usize| u8::from_str_radix(word.get(2 * at..2 * at + 2)?, 16).ok();
-    let bytes: Option<Vec<u8>> = (0..word.len() / 2).map(byte).collect();
-    let bytes = bytes.and_then(|bytes| bytes.try_into().ok());
-    bytes.map(GroupId::from_bytes).ok_or_else(|| {
-        let expected = "the name of a group of GPUs";
-        TrainError::Setting { field: "word of rank 0", found: word.clone(), expected }
-    })
-}
-
 /// A GPU with the network: all have the same weights.
 struct Replica {
     device: Arc<dyn Device>,
@@ -97,7 +68,6 @@ impl Learner {
     pub(super) fn new(
         number: usize,
         options: GpuOptions,
-        group: Option<&Group>,
         host_free: u64,
         config: &TrainConfig,
         description: &Description,
@@ -105,7 +75,7 @@ impl Learner {
     ) -> Result<Self, TrainError> {
         let program = program(description)?;
         let precision = stores::precision(description, options.precision);
-        let count = options.total();
+        let count = options.count.get();
         let batch = config.windows.batch;
         if !batch.is_multiple_of(count) {
             return Err(TrainError::Setting {
@@ -114,17 +84,9 @@ impl Learner {
                 expected: "a multiple of the number of GPUs",
             });
         }
-        let number = number + own_number(options.process.map(|options| options.process))?;
-        let gpus = match (group, options.count.get()) {
-            (Some(group), _) => {
-                let mut gpu = open_gpu(number, &*program, precision)?;
-                let id = share_id(group)?;
-                let rank = options.process.map_or(0, |options| options.process.rank);
-                gpu.join(id, Rank { number: rank, count })?;
-                vec![gpu]
-            }
-            (None, 1) => vec![open_gpu(number, &*program, precision)?],
-            (None, count) => open_group(number..number + count, &*program, precision)?,
+        let gpus = match count {
+            1 => vec![open_gpu(number, &*program, precision)?],
+            count => open_group(number..number + count, &*program, precision)?,
         };
         let stages: Vec<_> =
             config.unroll.iter().map(|stage| settings(config, stage.frames, count)).collect();
@@ -141,14 +103,12 @@ impl Learner {
             places.push(place);
         }
         let devices = gpus.into_iter().map(|gpu| Arc::new(gpu) as Arc<dyn Device>);
-        Self::on(devices.zip(places), group, description, streams)
+        Self::on(devices.zip(places), description, streams)
     }
 
-    /// Of any devices, with the place of their trajectories. If another process of the group is lost, they end their
-    /// waiting for it.
+    /// Of any devices, with the place of their trajectories.
     pub(super) fn on(
         devices: impl IntoIterator<Item = (Arc<dyn Device>, Place)>,
-        group: Option<&Group>,
         description: &Description,
         streams: &[Trajectory],
     ) -> Result<Self, TrainError> {
@@ -157,18 +117,10 @@ impl Learner {
             Ok(Replica { device, stores, training: None })
         };
         let replicas = devices.into_iter().map(replica).collect::<Result<Vec<_>, TrainError>>()?;
-        if let Some(group) = group {
-            // Weak: the group may outlast the run, and a GPU must not be given back while the process ends.
-            let devices: Vec<Weak<dyn Device>> =
-                replicas.iter().map(|replica| Arc::downgrade(&replica.device)).collect();
-            group.on_gone(move || {
-                devices.iter().filter_map(Weak::upgrade).for_each(|device| device.leave_group());
-            });
-        }
         Ok(Self { replicas, validation: None })
     }
 
-    /// Devices that share a batch, those of other processes included.
+    /// Devices that share a batch.
     fn count(&self) -> usize {
         self.replicas.first().map_or(1, |replica| replica.device.rank().count)
     }

@@ -487,7 +487,7 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
         let program = cuda::program(&description).unwrap();
         let device: Arc<dyn Device> = Arc::new(Emulator::new(&*program).unwrap());
         let devices = [(device, Place::Device)];
-        let learner = cuda::Learner::on(devices, None, &description, &streams).unwrap();
+        let learner = cuda::Learner::on(devices, &description, &streams).unwrap();
         Learner::Cuda(Box::new(learner))
     };
     let (expected, expected_losses) = run(&|| Learner::Burn);

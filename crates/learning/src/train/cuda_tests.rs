@@ -346,13 +346,8 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let (found, found_losses) = run(&|| {
         let device = Arc::new(Emulator::new(&Constants::of(&description).unwrap()).unwrap());
         Learner::Cuda(Box::new(
-            cuda::Learner::on(
-                [(device as Arc<dyn Device>, Place::Host)],
-                None,
-                &description,
-                &streams,
-            )
-            .unwrap(),
+            cuda::Learner::on([(device as Arc<dyn Device>, Place::Host)], &description, &streams)
+                .unwrap(),
         ))
     });
 

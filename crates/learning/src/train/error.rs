@@ -4,7 +4,6 @@ use std::{io, path::PathBuf};
 
 use indicatif::HumanBytes;
 
-use crate::ranks::RankError;
 use eddy_evaluation::{EvalError, dataset::DatasetError};
 use eddy_inference::{checkpoint::CheckpointError, engine::ModelError};
 
@@ -25,19 +24,6 @@ pub enum TrainError {
     #[cfg(feature = "cuda")]
     #[error(transparent)]
     Cuda(#[from] eddy_cuda::CudaError),
-    /// The processes that are to train together do not find each other, or differ.
-    #[error(transparent)]
-    Ranks(#[from] RankError),
-    /// Another process of the run was lost, or ended with an error.
-    #[error("epoch {epoch}: {reason}; {kept}")]
-    OtherProcess {
-        /// The epoch, from 1.
-        epoch: u32,
-        /// Which one, and why.
-        reason: Box<RankError>,
-        /// What is left of the run.
-        kept: String,
-    },
     /// A gradient is not finite although the loss is.
     #[error(
         "epoch {epoch}, batch {batch}: the gradient is not finite (windows {windows}); try a smaller learning rate or a shorter unroll"

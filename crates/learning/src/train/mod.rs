@@ -12,7 +12,6 @@
 //! 9. `validate`: free rollouts over streams that are not trained on.
 //! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
 //! 11. `state`, `resume`, `record`, `moments`: the state of a run between batches, and how it is saved and resumed.
-//! 12. `together`: several processes that train together.
 //! 13. `trainer`: the training loop, which all of these serve.
 //! 14. `footprint`: the memory and disk space that a run needs, estimated before it starts.
 //!
@@ -54,10 +53,6 @@ mod schedule;
 mod state;
 pub mod step_benchmark;
 mod steps;
-mod together;
-#[cfg(test)]
-#[cfg(feature = "cuda")]
-mod together_tests;
 mod trainer;
 mod validate;
 mod window;
@@ -75,10 +70,7 @@ pub use validate::{linear_fit_loss, rollout_loss, test_skill};
 
 use std::{path::Path, time::Duration};
 
-use crate::{
-    model::{DeviceKind, GpuOptions},
-    ranks::Group,
-};
+use crate::model::{DeviceKind, GpuOptions};
 use eddy_evaluation::dataset::Dataset;
 use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::{
@@ -93,7 +85,7 @@ pub struct Run<'a> {
     /// Compute device.
     pub device: DeviceKind,
     /// Options of an NVIDIA GPU, if that is the device.
-    pub gpu: GpuOptions<'a>,
+    pub gpu: GpuOptions,
     /// Directory for the best checkpoint, `metrics.csv`, the event files and [`LAST_FOLDER`].
     pub output: &'a Path,
     /// The checkpoint whose weights the run starts from, instead of random ones.
@@ -119,16 +111,11 @@ impl Run<'_> {
             name.to_owned()
         } else {
             let precision = self.gpu.precision.name();
-            match self.gpu.total() {
+            match self.gpu.count.get() {
                 1 => format!("{name} {precision}"),
                 count => format!("{name} {precision} x{count}"),
             }
         }
-    }
-
-    /// Whether this process decides for all that train together, and writes the files.
-    fn leads(&self) -> bool {
-        self.gpu.process.is_none_or(|options| options.process.leads())
     }
 
     /// Whether there is an epoch to resume from.
@@ -168,7 +155,7 @@ impl Machine {
 pub struct Outcome {
     /// All epochs, including those before the run was resumed.
     pub epochs: Vec<Epoch>,
-    /// The best checkpoint, as saved; none if no epoch was completed, or if another process saves it.
+    /// The best checkpoint, as saved; none if no epoch was completed.
     pub best: Option<Checkpoint>,
     /// Whether the run was interrupted.
     pub interrupted: bool,
@@ -189,14 +176,12 @@ pub struct Outcome {
 /// and the last checkpoint so far are kept).
 pub fn train(config: &TrainConfig, dataset: &Dataset, run: &Run) -> Result<Outcome, TrainError> {
     let clock = Clock::start();
-    let learner = |description: &Description, group: Option<&Group>| {
-        Learner::new(run, config, description, dataset, group)
-    };
+    let learner = |description: &Description| Learner::new(run, config, description, dataset);
     train_with(config, dataset, run, &Dependencies { learner: &learner, clock: &|| clock.now() })
 }
 
-/// Opens what takes the steps of a network, beside other processes.
-type Open<'a> = dyn Fn(&Description, Option<&Group>) -> Result<Learner, TrainError> + 'a;
+/// Opens what takes the steps of a network.
+type Open<'a> = dyn Fn(&Description) -> Result<Learner, TrainError> + 'a;
 
 /// What a run gets from outside: in tests, another device and another time.
 struct Dependencies<'a> {
@@ -220,27 +205,8 @@ fn train_with(
     check_streams(config, dataset, &description)?;
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
     footprint::check(config, &description, particles, run)?;
-    // Rank 0 settles the folder before other processes read it.
-    let leads = run.leads();
-    let begun = leads.then(|| resume::begin(config, &mut description, run)).transpose()?;
-    let group = together::join(config, &description, run)?;
-    let outcome = match begun {
-        Some(state) => Ok(state),
-        None => resume::follow(config, &mut description, run),
-    };
-    let outcome = outcome.and_then(|state| {
-        trainer::take_epochs(
-            config,
-            dataset,
-            run,
-            &description,
-            state,
-            group.as_ref(),
-            dependencies,
-        )
-    });
-    together::part(group.as_ref(), &outcome);
-    outcome
+    let state = resume::begin(config, &mut description, run)?;
+    trainer::take_epochs(config, dataset, run, &description, state, dependencies)
 }
 
 /// Rejects streams that are too short for any stage of the run, or that its network could not predict, before it starts.

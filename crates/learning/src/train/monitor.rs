@@ -88,8 +88,7 @@ pub(super) struct BatchMetrics {
 /// Reports a run.
 pub(super) struct Monitor<'a> {
     progress: &'a dyn Progress,
-    /// `None` where another process writes them.
-    files: Option<Files>,
+    files: Files,
     clock: &'a dyn Fn() -> Duration,
     /// What the clock said at the beginning.
     start: Duration,
@@ -142,16 +141,15 @@ impl Files {
 }
 
 impl<'a> Monitor<'a> {
-    /// Starts to report a run at `state`; its files go to the directory `output`, if it is to write any. `clock` tells
-    /// the time since any instant.
+    /// Starts to report a run at `state`; its files go to the directory `output`. `clock` tells the time since any instant.
     pub(super) fn new(
-        output: Option<&Path>,
+        output: &Path,
         config: &TrainConfig,
         state: &RunState,
         progress: &'a dyn Progress,
         clock: &'a dyn Fn() -> Duration,
     ) -> Result<Self, TrainError> {
-        let files = output.map(|output| Files::create(output, state)).transpose()?;
+        let files = Files::create(output, state)?;
         let batches = config.batches() as u64 * u64::from(config.epochs);
         let done = state.samples / config.windows.batch as u64;
         progress.begin(batches.saturating_sub(done), "batches");
@@ -166,8 +164,7 @@ impl<'a> Monitor<'a> {
 
     /// Writes scalars to the event file.
     fn scalars(&mut self, samples: u64, scalars: &[(&str, f64)]) -> Result<(), TrainError> {
-        let Some(files) = &mut self.files else { return Ok(()) };
-        files.events.write(|events| events.scalars(clock::wall(), samples, scalars))
+        self.files.events.write(|events| events.scalars(clock::wall(), samples, scalars))
     }
 
     /// Training windows per second in the current epoch.
@@ -197,9 +194,7 @@ impl<'a> Monitor<'a> {
 
     /// Reports an epoch.
     pub(super) fn epoch(&mut self, epoch: &Epoch) -> Result<(), TrainError> {
-        if let Some(files) = &mut self.files {
-            files.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
-        }
+        self.files.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
         let scalars = [
             ("loss/training", epoch.training_loss),
             ("loss/validation", epoch.validation_loss),

@@ -103,19 +103,6 @@ pub(super) fn begin(
     Ok(RunState::new(config, description, run.start, run.device))
 }
 
-/// The same for a process that trains along, after rank 0 has begun the run. The folder is left unchanged.
-pub(super) fn follow(
-    config: &TrainConfig,
-    description: &mut Description,
-    run: &Run,
-) -> Result<RunState, TrainError> {
-    if run.resumes() {
-        load(config, description, run)
-    } else {
-        Ok(RunState::new(config, description, run.start, run.device))
-    }
-}
-
 /// Replaces the last epoch on disk. `seconds` is the training time, `last` the checkpoint.
 pub(super) fn save(
     run: &Run,

@@ -110,7 +110,7 @@ impl StepBenchmark {
                 };
                 let open = |description: &Description, streams: &[Trajectory]| {
                     let (number, free) = (number.into(), u64::MAX);
-                    Learner::new(number, gpu, None, free, &config, description, streams)
+                    Learner::new(number, gpu, free, &config, description, streams)
                 };
                 Steps::Cuda(Box::new(cuda::Steps::new(&config, particles, &open)?))
             }
@@ -359,12 +359,7 @@ mod cuda {
             config.network.hidden = 12;
             let open = |description: &Description, streams: &[Trajectory]| {
                 let device = Arc::new(Emulator::new(&Constants::of(description)?)?);
-                Learner::on(
-                    [(device as Arc<dyn Device>, Place::Device)],
-                    None,
-                    description,
-                    streams,
-                )
+                Learner::on([(device as Arc<dyn Device>, Place::Device)], description, streams)
             };
             let mut steps = Steps::new(&config, 8, &open).unwrap();
             let mut mean = || {

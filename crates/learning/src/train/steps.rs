@@ -13,7 +13,6 @@ use super::{
 };
 #[cfg(feature = "cuda")]
 use crate::model::DeviceKind;
-use crate::ranks::Group;
 use eddy_evaluation::dataset::Dataset;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
@@ -48,19 +47,17 @@ impl Learner {
         config: &TrainConfig,
         description: &Description,
         dataset: &Dataset,
-        group: Option<&Group>,
     ) -> Result<Self, TrainError> {
         match run.device {
             #[cfg(feature = "cuda")]
             DeviceKind::Cuda(number) => {
                 let (number, streams) = (number.into(), &dataset.train);
                 let (gpu, free) = (run.gpu, run.machine.memory);
-                let learner =
-                    cuda::Learner::new(number, gpu, group, free, config, description, streams)?;
+                let learner = cuda::Learner::new(number, gpu, free, config, description, streams)?;
                 Ok(Self::Cuda(Box::new(learner)))
             }
             _ => {
-                let _ = (config, description, dataset, group);
+                let _ = (config, description, dataset);
                 Ok(Self::Burn)
             }
         }

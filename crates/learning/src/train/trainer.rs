@@ -13,11 +13,10 @@ use super::{
     resume, sampler, schedule,
     state::{RunState, weights_at_start},
     steps::{Learner, Step},
-    together,
     validate::{self, Score},
     window::{self, Sampler},
 };
-use crate::{model::dropout::Dropout, ranks::Group};
+use crate::model::dropout::Dropout;
 use eddy_evaluation::dataset::Dataset;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description, Weights},
@@ -36,18 +35,8 @@ pub(super) fn take_epochs(
     run: &Run,
     description: &Description,
     state: RunState,
-    group: Option<&Group>,
     dependencies: &Dependencies<'_>,
 ) -> Result<Outcome, TrainError> {
-    let done = state.epoch();
-    let explained = |error| match group {
-        Some(group) => together::explain(group, error, done, run),
-        None => error,
-    };
-    if let (Some(group), Some(options)) = (group, &run.gpu.process) {
-        together::same_state(group, options.process.rank, &state, description)
-            .map_err(explained)?;
-    }
     if state.is_over(config) {
         let RunState { epochs, best, seconds, samples, .. } = state;
         return Ok(Outcome { epochs, best, interrupted: false, seconds, samples });
@@ -59,19 +48,14 @@ pub(super) fn take_epochs(
         ballistic: Ballistic::new(description),
         common: state.common.clone(),
     };
-    let output = run.leads().then_some(run.output);
-    let mut monitor = Monitor::new(output, config, &state, run.progress, dependencies.clock)?;
-    let mut learner = (dependencies.learner)(description, group).map_err(explained)?;
-    let initial = if run.leads() {
-        weights_at_start(config, description, run.start)
-    } else {
-        BTreeMap::new()
-    };
+    let mut monitor = Monitor::new(run.output, config, &state, run.progress, dependencies.clock)?;
+    let mut learner = (dependencies.learner)(description)?;
+    let initial = weights_at_start(config, description, run.start);
     let mut start = None;
-    if run.start.is_some() && run.leads() {
+    if run.start.is_some() {
         let checkpoint = Checkpoint::new(description.clone(), initial.clone());
         let published = checkpoint.with_weights(config.network.weights);
-        let score = score(&mut learner, config, dataset, &published).map_err(explained)?;
+        let score = score(&mut learner, config, dataset, &published)?;
         monitor.starts_from(&score);
         start = Some(score.loss);
     }
@@ -79,7 +63,6 @@ pub(super) fn take_epochs(
         config,
         dataset,
         run,
-        group,
         description,
         state,
         sampler,
@@ -91,16 +74,14 @@ pub(super) fn take_epochs(
         saved: None,
         has_unsaved_best: false,
         unsaved: None,
-        asked_to_stop: false,
     };
     if trainer.state.unroll > 0 {
-        trainer.begin_stage().map_err(explained)?;
+        trainer.begin_stage()?;
     }
     let mut interrupted = false;
     while !interrupted && !trainer.state.is_over(config) {
         let outcome = match trainer.epoch() {
-            Ok(Some(means)) if trainer.leads() => trainer.validate_and_save(&means),
-            Ok(Some(_)) => trainer.hear_epoch(),
+            Ok(Some(means)) => trainer.validate_and_save(&means),
             Ok(None) => {
                 interrupted = true;
                 Ok(())
@@ -108,10 +89,6 @@ pub(super) fn take_epochs(
             Err(error) => Err(error),
         };
         if let Err(error) = outcome {
-            let error = match group {
-                Some(group) => together::explain(group, error, trainer.state.epoch(), run),
-                None => error,
-            };
             if let Err(second) = trainer.save_last_epoch().and_then(|()| trainer.save_best()) {
                 tracing::warn!("the last and the best epoch are not saved: {second}");
             }
@@ -140,15 +117,13 @@ struct Trainer<'a> {
     config: &'a TrainConfig,
     dataset: &'a Dataset,
     run: &'a Run<'a>,
-    /// The processes that train together, if there are several.
-    group: Option<&'a Group>,
     description: &'a Description,
     state: RunState,
     sampler: Sampler<'a>,
     scale: LossScale<'a>,
     monitor: Monitor<'a>,
     learner: Learner,
-    /// The weights before the first step; empty where another process writes the metrics.
+    /// The weights before the first step.
     initial: BTreeMap<String, Weights>,
     /// Validation loss of the checkpoint that the run starts from, if any.
     start: Option<f64>,
@@ -158,8 +133,6 @@ struct Trainer<'a> {
     has_unsaved_best: bool,
     /// Of the last epoch, if it is yet to be saved.
     unsaved: Option<Boundary>,
-    /// Whether rank 0 knows that this process wants to stop.
-    asked_to_stop: bool,
 }
 
 /// What changes in the state of a run on a GPU between the end of an epoch and that of the next one.
@@ -198,20 +171,10 @@ struct EpochMeans {
 }
 
 impl Trainer<'_> {
-    /// Whether this process decides for all, and writes the files.
-    fn leads(&self) -> bool {
-        self.run.leads()
-    }
-
     /// Whether to stop before the next batches.
-    fn stops(&mut self) -> Result<bool, TrainError> {
-        let wants = self.run.progress.cancelled();
+    fn stops(&self) -> bool {
         // Epochs that are not yet saved take less time than saving: the one at hand is finished, and saved.
-        let may = self.unsaved.is_none();
-        match self.group {
-            Some(group) => together::stops(group, wants, may, &mut self.asked_to_stop),
-            None => Ok(wants && may),
-        }
+        self.run.progress.cancelled() && self.unsaved.is_none()
     }
 
     /// Trains for an epoch; none if it was interrupted.
@@ -219,7 +182,7 @@ impl Trainer<'_> {
         let (config, epoch) = (self.config, self.state.epoch() + 1);
         let (mut losses, mut learning_rate, mut number) = (0.0, 0.0, 1);
         while number <= config.batches() {
-            if self.stops()? {
+            if self.stops() {
                 return Ok(None);
             }
             let progress = |number| schedule::progress(config, epoch, number);
@@ -304,7 +267,7 @@ impl Trainer<'_> {
 
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
-        let Self { config, dataset, run, group, state, monitor, learner, initial, .. } = self;
+        let Self { config, dataset, run, state, monitor, learner, initial, .. } = self;
         let begun = monitor.elapsed();
         let tensors = state.tensors(self.description);
         let movement = Movement::of(initial, &tensors, &state.optimizer, &config.optimizer);
@@ -336,7 +299,6 @@ impl Trainer<'_> {
         let saves = !learner.is_fast()
             || self.saved.is_none_or(|saved| elapsed >= saved + SAVE_INTERVAL)
             || run.progress.cancelled()
-            || group.is_some_and(Group::asked_to_stop)
             || state.is_over(config);
         if saves {
             // The record names the best epoch: an earlier one must be there before it; this one is in it.
@@ -351,9 +313,6 @@ impl Trainer<'_> {
             self.has_unsaved_best = true;
         }
         self.unsaved = (!saves).then(|| Boundary::of(&self.state));
-        if let Some(group) = self.group {
-            together::tell_epoch(group, &epoch);
-        }
         (self.run.on_epoch)(&epoch);
         self.monitor.epoch(&epoch)?;
         if epoch.epoch == 1
@@ -373,16 +332,6 @@ impl Trainer<'_> {
             (self.monitor.elapsed() - validated).as_secs_f64()
         );
         Ok(())
-    }
-
-    /// Takes over rank 0's result of an epoch.
-    fn hear_epoch(&mut self) -> Result<(), TrainError> {
-        let Some(group) = self.group else { return Ok(()) };
-        let epoch = together::hear_epoch(group)?;
-        self.state.epochs.push(epoch);
-        self.state.since_best = if epoch.best { 0 } else { self.state.since_best + 1 };
-        (self.run.on_epoch)(&epoch);
-        self.monitor.epoch(&epoch)
     }
 
     /// Saves the last epoch, if it is not yet saved, as long as its weights are those of the state.
@@ -426,10 +375,8 @@ impl Trainer<'_> {
         }
         let seconds = self.state.seconds + self.monitor.elapsed().as_secs_f64();
         let done = self.state.epoch();
-        let leads = self.run.leads();
         let RunState { epochs, mut best, samples, .. } = self.state;
-        if leads
-            && let Some(best) = &mut best
+        if let Some(best) = &mut best
             && best.description.training.epochs != done
         {
             best.description.training.epochs = done;
