@@ -3,10 +3,9 @@
 use super::{EvalError, LinearFit, Predictor, Units, window::starts};
 use crate::dataset::Bounds;
 use eddy_frames::{Domain, State};
-use eddy_inference::engine::Baseline;
 use eddy_inference::{
     checkpoint::{Description, Normalization},
-    engine::Ballistic,
+    engine::{Ballistic, Baseline},
 };
 
 /// Minimum length of the rollouts of a full evaluation (frames), to detect blow-ups.

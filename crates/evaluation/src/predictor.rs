@@ -8,9 +8,8 @@ use super::{
     task::RolloutTask,
 };
 use eddy_frames::State;
-use eddy_inference::engine::Baseline;
 use eddy_inference::{
-    engine::{ModelError, Surrogate},
+    engine::{Baseline, ModelError, Surrogate},
     error_model::CalibratedHorizon,
 };
 use eddy_mpm::MpmError;

@@ -14,7 +14,6 @@ mod products;
 
 pub use compile::{Target, compile};
 pub use library::{GpuDescription, check, list};
-pub use peers::GroupId;
 
 pub use eddy_inference::engine::Precision;
 
@@ -38,7 +37,7 @@ use crate::{
     error::{Context as _, CudaError, Result},
     kernels::{Kernel, Program},
 };
-use peers::Peers;
+use peers::{GroupId, Peers};
 use products::Products;
 
 /// Keeps apart, on one device, the recording of graphs from calls that get memory, modules or handles, or give them back.
@@ -174,7 +173,7 @@ impl Gpu {
     ///
     /// # Errors
     /// [`CudaError::MissingLibrary`], [`CudaError::Call`].
-    pub fn join(&mut self, id: GroupId, rank: Rank) -> Result<()> {
+    fn join(&mut self, id: GroupId, rank: Rank) -> Result<()> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         self.peers = Some(Peers::join(id, rank)?);
         Ok(())

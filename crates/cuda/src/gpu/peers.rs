@@ -26,7 +26,7 @@ const ID: usize = 128;
 /// Names a group of GPUs; all that join it have the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C)]
-pub struct GroupId([u8; ID]);
+pub(super) struct GroupId([u8; ID]);
 
 type Communicator = *mut c_void;
 type Status = c_int;
@@ -90,7 +90,7 @@ impl GroupId {
     ///
     /// # Errors
     /// [`CudaError::MissingLibrary`], [`CudaError::Call`].
-    pub fn new() -> Result<Self> {
+    pub(super) fn new() -> Result<Self> {
         let nccl = Nccl::get()?;
         let mut id = Self([0; ID]);
         // SAFETY: NCCL writes as many bytes.

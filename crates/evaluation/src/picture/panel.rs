@@ -1,8 +1,10 @@
 //! Pictures of frames.
 
 use super::canvas::{Canvas, LINE};
-use eddy_frames::palette::{self, BLACK, GREY, Rgb};
-use eddy_frames::{Domain, Frame, Material};
+use eddy_frames::{
+    Domain, Frame, Material,
+    palette::{self, BLACK, GREY, Rgb},
+};
 
 /// Margin around the domain (pixels).
 const MARGIN: usize = 10;

@@ -1,8 +1,10 @@
 //! Quantisation to the 256 colours of a GIF. The palette is fixed, so that animations do not flicker.
 
 use super::canvas::Canvas;
-use eddy_frames::Material;
-use eddy_frames::palette::{self, BLACK, GREY, Rgb, WHITE, mix};
+use eddy_frames::{
+    Material,
+    palette::{self, BLACK, GREY, Rgb, WHITE, mix},
+};
 
 /// Mixtures of a colour with white, for the edges of discs.
 const SHARES: usize = 4;
