@@ -12,7 +12,7 @@ use super::{
     core::{CoreLayer, activate},
     decoded::Decoded,
     encoder::{BLOCK, Encoder},
-    hidden_state::HiddenState,
+    hidden_state::FrameMemory,
     linear::{Linear, add_products, outputs},
 };
 use crate::{
@@ -168,7 +168,7 @@ impl FrameModel {
         pool: &mut ThreadPool,
         alone: bool,
         scratch: &mut Scratch,
-        hidden_state: &mut HiddenState,
+        memory: &mut FrameMemory,
         frame: FrameView<'_>,
         next: &mut Frame,
     ) {
@@ -176,7 +176,7 @@ impl FrameModel {
         scratch.maxima.fill(f32::NEG_INFINITY);
         let context = StepContext {
             model: self,
-            hidden_state,
+            memory,
             features: &scratch.features,
             pooled: DisjointSlice::new(&mut scratch.pooled),
             encoded: DisjointSlice::new(&mut scratch.encoded),
@@ -189,8 +189,8 @@ impl FrameModel {
         };
         let items = self.stages.iter().map(|&stage| self.items(stage));
         pool.run(items, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
-        hidden_state.hidden.copy_from_slice(&scratch.hidden);
-        hidden_state.cell.copy_from_slice(&scratch.cell);
+        memory.hidden.copy_from_slice(&scratch.hidden);
+        memory.cell.copy_from_slice(&scratch.cell);
 
         let outputs = scratch.output.as_chunks::<2>().0;
         let after = next.position.iter_mut().zip(&mut next.velocity);
@@ -221,7 +221,7 @@ impl FrameModel {
 /// One frame in progress. Each array is written panel by panel in one stage and read in later ones.
 struct StepContext<'a> {
     model: &'a FrameModel,
-    hidden_state: &'a HiddenState,
+    memory: &'a FrameMemory,
     features: &'a [[f32; 4]],
     pooled: DisjointSlice<'a, f32>,
     encoded: DisjointSlice<'a, f32>,
@@ -292,8 +292,8 @@ impl StepContext<'_> {
 
     #[inline(always)]
     fn pool_mean<S: Simd>(&self, simd: S, panel: usize) {
-        let Self { model: FrameModel { encoder, .. }, hidden_state, features, .. } = self;
-        let mean = encoder.mean(simd, panel, features, &hidden_state.material);
+        let Self { model: FrameModel { encoder, .. }, memory, features, .. } = self;
+        let mean = encoder.mean(simd, panel, features, &memory.material);
         let units = outputs(panel, S::F32_LANES, encoder.width());
         // SAFETY: only this item uses these units.
         simd.partial_store_f32s(unsafe { self.pooled.part(units) }, mean);
@@ -310,7 +310,7 @@ impl StepContext<'_> {
             (points, self.maxima.part(model.state(thread)))
         };
         let features = &self.features[particles.clone()];
-        let material = &self.hidden_state.material[particles];
+        let material = &self.memory.material[particles];
         model.encoder.update_maxima(simd, &model.second, features, material, points, maxima);
     }
 
@@ -332,7 +332,7 @@ impl StepContext<'_> {
 
     #[inline(always)]
     fn core<S: Simd>(&self, simd: S, layer: usize, panel: usize) {
-        let Self { model, hidden_state, .. } = self;
+        let Self { model, memory, .. } = self;
         let state = model.state(layer);
         // SAFETY: an earlier stage has written the input.
         let input = unsafe {
@@ -341,8 +341,8 @@ impl StepContext<'_> {
                 Some(below) => self.hidden.read(model.state(below)),
             }
         };
-        let last = &hidden_state.hidden[state.clone()];
-        let cell = hidden_state.cell.get(state.clone()).unwrap_or_default();
+        let last = &memory.hidden[state.clone()];
+        let cell = memory.cell.get(state.clone()).unwrap_or_default();
         let layer = &model.core[layer];
         let next = layer.step::<S, 1, GATE_PARTIAL_SUMS>(simd, panel, [input], [last], [cell]);
         let units = layer.units(panel);

@@ -43,182 +43,235 @@ pub(super) fn rest(
 /// every frame.
 #[derive(Debug)]
 pub struct HiddenState {
-    /// Particle model: the particle in each row, sorted by place in the stream's first frame. Empty in the frame model, which
-    /// keeps the order of the input.
-    pub(super) order: Arc<Vec<u32>>,
-    /// The material number of each row's particle, `[N]`.
-    pub(super) material: Vec<u8>,
-    /// Particle model: the rest shape of jelly and rope, taken from the stream's first frame. Empty in the frame model.
-    pub(super) rest: Arc<RestShape>,
-    /// The lattices of its jelly, if the rule `elastic` is on; else empty.
-    pub(super) lattices: Arc<Lattices>,
-    /// What they expect of the coming frame.
-    pub(super) expected_nodes: Expected,
-    /// The feature of the stream's stiffness, if the network is conditioned on it.
-    pub(super) stiffness: Option<f32>,
-    /// The network with the weights for that stiffness, if those of the surrogate depend on it.
+    particles: usize,
+    /// The network with the weights for the stream's stiffness, if those of the surrogate depend on it.
     pub(super) network: Option<Arc<Network>>,
-    /// Last outputs of the core, `[layer, R, H]`. R is 1 in the frame model and N in the particle model, whose rows are
-    /// [`stride`] long. Zero before the first frame.
+    pub(super) memory: Memory,
+}
+
+/// What each kind of network remembers.
+#[derive(Debug)]
+pub(super) enum Memory {
+    Frame(FrameMemory),
+    Particle(Box<ParticleMemory>),
+    Device(Box<dyn DeviceState>),
+}
+
+/// What the frame model remembers: one state for all particles.
+#[derive(Debug, PartialEq)]
+pub(super) struct FrameMemory {
+    /// The material number of each particle, `[N]`.
+    pub(super) material: Arc<[u8]>,
+    /// Last outputs of the core, `[layer, H]`. Zero before the first frame.
     pub(super) hidden: Vec<f32>,
     /// Cells of an LSTM, of the same shape; empty for other cores.
     pub(super) cell: Vec<f32>,
-    /// Particle model: the velocities that the ballistic step expects in the coming frame, `[N, 2]`. Empty in the frame
-    /// model.
+}
+
+/// What the particle model remembers: a state for each particle.
+#[derive(Debug, PartialEq)]
+pub(super) struct ParticleMemory {
+    pub(super) stream: Arc<StreamParticles>,
+    /// What the lattices expect of the coming frame.
+    pub(super) expected_nodes: Expected,
+    /// Last outputs of the core, `[layer, N, H]`; rows are [`stride`] long. Zero before the first frame.
+    pub(super) hidden: Vec<f32>,
+    /// Cells of an LSTM, of the same shape; empty for other cores.
+    pub(super) cell: Vec<f32>,
+    /// The velocities that the ballistic step expects in the coming frame, `[N, 2]`.
     pub(super) expected_velocity: Vec<[f32; 2]>,
     /// Whether a frame was observed.
     pub(super) begun: bool,
-    /// The state on the device that predicts; then `hidden` and `cell` are empty.
-    pub(super) device: Option<Box<dyn DeviceState>>,
+}
+
+/// What the particle model takes from the first frame of a stream, which never changes.
+#[derive(Debug)]
+pub(super) struct StreamParticles {
+    /// The particle in each row, sorted by place.
+    pub(super) order: Vec<u32>,
+    /// The material number of each row's particle, `[N]`.
+    pub(super) material: Vec<u8>,
+    /// The rest shape of jelly and rope.
+    pub(super) rest: RestShape,
+    /// The lattices of its jelly, if the rule `elastic` is on; else empty.
+    pub(super) lattices: Lattices,
+    /// The feature of the stream's stiffness, if the network is conditioned on it.
+    pub(super) stiffness: Option<f32>,
 }
 
 impl HiddenState {
     /// The state for the particles of `frame` before the first observed frame, in a stream of this stiffness (density x velocity^2), if the
     /// network is conditioned on it.
     pub(super) fn new(description: &Description, frame: &Frame, stiffness: Option<f32>) -> Self {
-        let particles = frame.len();
-        let mut material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
-        let mut order = Vec::new();
-        // Built before reordering: the choice among equally distant neighbours must not depend on the order.
-        let (mut rest, mut lattices) = rest(description, frame, stiffness);
-        if let Some(&GridOptions { cell_width, .. }) = description.grid.as_ref() {
-            order = spatial_order(frame, cell_width);
-            (rest, lattices) = (rest.permuted(&order), lattices.permuted(&order));
-            material = order.iter().map(|&row| frame.material[row as usize] as u8).collect();
-        }
-        let hidden = description.sizes.hidden;
-        let (numbers, expected_velocity) = match description.sizes.particles {
-            Some(_) => (hidden, 0),
-            None => (particles * stride(hidden), particles),
+        let memory = match &description.grid {
+            None => Memory::Frame(FrameMemory::new(description, frame)),
+            Some(grid) => {
+                Memory::Particle(Box::new(ParticleMemory::new(description, grid, frame, stiffness)))
+            }
         };
-        let states = description.sizes.layers * numbers;
-        let cells = if description.core == Core::Lstm { states } else { 0 };
-        Self {
-            order: Arc::new(order),
-            material,
-            rest: Arc::new(rest),
-            expected_nodes: lattices.expected(),
-            lattices: Arc::new(lattices),
-            stiffness: stiffness.map(stiffness_feature),
-            network: None,
-            hidden: vec![0.0; states],
-            cell: vec![0.0; cells],
-            expected_velocity: vec![[0.0; 2]; expected_velocity],
-            begun: false,
-            device: None,
-        }
+        Self { particles: frame.len(), network: None, memory }
     }
 
-    /// The state of a stream on a device.
-    pub(super) fn on_device(material: Vec<u8>, device: Box<dyn DeviceState>) -> Self {
-        Self {
-            order: Arc::default(),
-            material,
-            rest: Arc::default(),
-            lattices: Arc::default(),
-            expected_nodes: Expected::default(),
-            stiffness: None,
-            network: None,
-            hidden: Vec::new(),
-            cell: Vec::new(),
-            expected_velocity: Vec::new(),
-            begun: false,
-            device: Some(device),
-        }
+    /// The state of a stream of so many particles on a device.
+    pub(super) fn on_device(particles: usize, device: Box<dyn DeviceState>) -> Self {
+        Self { particles, network: None, memory: Memory::Device(device) }
     }
 
     /// Number of particles.
     pub fn particles(&self) -> usize {
-        self.material.len()
+        self.particles
     }
 
     /// Forgets the observed frames, but keeps the rest shape of solids: for a stream that was interrupted.
     pub fn forget(&mut self) {
-        self.hidden.fill(0.0);
-        self.cell.fill(0.0);
-        self.expected_velocity.fill([0.0; 2]);
-        self.expected_nodes.forget();
-        self.begun = false;
-        if let Some(device) = &mut self.device {
-            device.forget();
+        match &mut self.memory {
+            Memory::Frame(FrameMemory { material: _, hidden, cell }) => {
+                hidden.fill(0.0);
+                cell.fill(0.0);
+            }
+            Memory::Particle(memory) => {
+                memory.hidden.fill(0.0);
+                memory.cell.fill(0.0);
+                memory.expected_velocity.fill([0.0; 2]);
+                memory.expected_nodes.forget();
+                memory.begun = false;
+            }
+            Memory::Device(device) => device.forget(),
+        }
+    }
+}
+
+/// Lengths of hidden states and cells of a core with rows of so many numbers in each layer.
+fn lengths(description: &Description, row: usize) -> [usize; 2] {
+    let states = description.sizes.layers * row;
+    [states, if description.core == Core::Lstm { states } else { 0 }]
+}
+
+impl FrameMemory {
+    fn new(description: &Description, frame: &Frame) -> Self {
+        let [hidden, cell] = lengths(description, description.sizes.hidden).map(|n| vec![0.0; n]);
+        Self { material: frame.material.iter().map(|&kind| kind as u8).collect(), hidden, cell }
+    }
+}
+
+impl ParticleMemory {
+    fn new(
+        description: &Description,
+        &GridOptions { cell_width, .. }: &GridOptions,
+        frame: &Frame,
+        stiffness: Option<f32>,
+    ) -> Self {
+        // Built before reordering: the choice among equally distant neighbours must not depend on the order.
+        let (rest, lattices) = rest(description, frame, stiffness);
+        let order = spatial_order(frame, cell_width);
+        let (rest, lattices) = (rest.permuted(&order), lattices.permuted(&order));
+        let row = frame.len() * stride(description.sizes.hidden);
+        let [hidden, cell] = lengths(description, row).map(|n| vec![0.0; n]);
+        Self {
+            expected_nodes: lattices.expected(),
+            stream: Arc::new(StreamParticles {
+                material: order.iter().map(|&row| frame.material[row as usize] as u8).collect(),
+                order,
+                rest,
+                lattices,
+                stiffness: stiffness.map(stiffness_feature),
+            }),
+            hidden,
+            cell,
+            expected_velocity: vec![[0.0; 2]; frame.len()],
+            begun: false,
         }
     }
 }
 
 impl Clone for HiddenState {
     fn clone(&self) -> Self {
-        Self {
-            order: Arc::clone(&self.order),
-            material: self.material.clone(),
-            rest: Arc::clone(&self.rest),
-            lattices: Arc::clone(&self.lattices),
-            expected_nodes: self.expected_nodes.clone(),
-            stiffness: self.stiffness,
-            network: self.network.clone(),
-            hidden: self.hidden.clone(),
-            cell: self.cell.clone(),
-            expected_velocity: self.expected_velocity.clone(),
-            begun: self.begun,
-            device: self.device.as_ref().map(|device| device.duplicate()),
+        let Self { particles, network, memory } = self;
+        Self { particles: *particles, network: network.clone(), memory: memory.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { particles, network, memory } = self;
+        *particles = other.particles;
+        network.clone_from(&other.network);
+        memory.clone_from(&other.memory);
+    }
+}
+
+impl Clone for Memory {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Frame(memory) => Self::Frame(memory.clone()),
+            Self::Particle(memory) => Self::Particle(memory.clone()),
+            Self::Device(device) => Self::Device(device.duplicate()),
         }
     }
 
     fn clone_from(&mut self, other: &Self) {
-        let Self {
-            order,
-            material,
-            rest,
-            lattices,
-            expected_nodes,
-            stiffness,
-            network,
-            hidden,
-            cell,
-            expected_velocity,
-            begun,
-            device,
-        } = self;
-        *order = Arc::clone(&other.order);
-        material.clone_from(&other.material);
-        *rest = Arc::clone(&other.rest);
-        *lattices = Arc::clone(&other.lattices);
+        match (self, other) {
+            (Self::Frame(memory), Self::Frame(other)) => memory.clone_from(other),
+            (Self::Particle(memory), Self::Particle(other)) => memory.clone_from(other),
+            (Self::Device(device), Self::Device(other)) => device.copy_from(&**other),
+            (memory, other) => *memory = other.clone(),
+        }
+    }
+}
+
+impl Clone for FrameMemory {
+    fn clone(&self) -> Self {
+        let Self { material, hidden, cell } = self;
+        Self { material: Arc::clone(material), hidden: hidden.clone(), cell: cell.clone() }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { material, hidden, cell } = self;
+        *material = Arc::clone(&other.material);
+        hidden.clone_from(&other.hidden);
+        cell.clone_from(&other.cell);
+    }
+}
+
+impl Clone for ParticleMemory {
+    fn clone(&self) -> Self {
+        Self {
+            stream: Arc::clone(&self.stream),
+            expected_nodes: self.expected_nodes.clone(),
+            hidden: self.hidden.clone(),
+            cell: self.cell.clone(),
+            expected_velocity: self.expected_velocity.clone(),
+            begun: self.begun,
+        }
+    }
+
+    fn clone_from(&mut self, other: &Self) {
+        let Self { stream, expected_nodes, hidden, cell, expected_velocity, begun } = self;
+        *stream = Arc::clone(&other.stream);
         expected_nodes.clone_from(&other.expected_nodes);
-        *stiffness = other.stiffness;
-        network.clone_from(&other.network);
         hidden.clone_from(&other.hidden);
         cell.clone_from(&other.cell);
         expected_velocity.clone_from(&other.expected_velocity);
         *begun = other.begun;
-        match (device, &other.device) {
-            (Some(device), Some(other)) => device.copy_from(&**other),
-            (device, other) => *device = other.as_ref().map(|other| other.duplicate()),
-        }
     }
 }
 
 impl PartialEq for HiddenState {
     fn eq(&self, other: &Self) -> bool {
-        let Self {
-            order,
-            material,
-            rest,
-            // Determined by the rest shape.
-            lattices: _,
-            expected_nodes,
-            stiffness,
-            // That of the stiffness.
-            network: _,
-            hidden,
-            cell,
-            expected_velocity,
-            begun,
-            device,
-        } = self;
+        // The network is that of the stiffness.
+        self.particles == other.particles
+            && match (&self.memory, &other.memory) {
+                (Memory::Frame(memory), Memory::Frame(other)) => memory == other,
+                (Memory::Particle(memory), Memory::Particle(other)) => memory == other,
+                (Memory::Device(device), Memory::Device(other)) => **device == **other,
+                _ => false,
+            }
+    }
+}
+
+impl PartialEq for StreamParticles {
+    fn eq(&self, other: &Self) -> bool {
+        // The lattices are determined by the rest shape.
+        let Self { order, material, rest, lattices: _, stiffness } = self;
         (order, material, rest, stiffness)
             == (&other.order, &other.material, &other.rest, &other.stiffness)
-            && (hidden, cell, expected_velocity, expected_nodes)
-                == (&other.hidden, &other.cell, &other.expected_velocity, &other.expected_nodes)
-            && *begun == other.begun
-            && device.as_deref() == other.device.as_deref()
     }
 }

@@ -45,7 +45,7 @@ pub(super) struct Features {
     pub(super) velocity_unit: f32,
 }
 
-/// The particles before the network, in the order of [`HiddenState::order`](super::HiddenState::order).
+/// The particles before the network, in the order of [`StreamParticles::order`](super::hidden_state::StreamParticles::order).
 pub(super) struct ParticleInputs<'a> {
     pub(super) position: &'a [[f32; 2]],
     pub(super) velocity: &'a [[f32; 2]],

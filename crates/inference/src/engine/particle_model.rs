@@ -13,7 +13,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::{
     core::CoreLayer,
     grid::{self, Fields, Grid, Walls},
-    hidden_state::{HiddenState, stride},
+    hidden_state::{ParticleMemory, StreamParticles, stride},
     linear::{Linear, SplitLinear},
     merged::merged,
     order::reorder,
@@ -161,15 +161,16 @@ impl ParticleModel {
         pool: &mut ThreadPool,
         alone: bool,
         scratch: &mut Scratch,
-        hidden_state: &mut HiddenState,
+        memory: &mut ParticleMemory,
         frame: FrameView<'_>,
         next: &mut Frame,
     ) {
         let ballistic = self.features.ballistic(&frame.domain);
         let (lower, upper) = (frame.domain.lower, frame.domain.upper);
-        let particles = hidden_state.order.len();
+        let StreamParticles { order, material, rest, lattices, stiffness } = &*memory.stream;
+        let particles = order.len();
         let window = Window { particles: 0..particles, lower, upper };
-        reorder(pool, alone, &hidden_state.order, frame.particles, &mut scratch.state);
+        reorder(pool, alone, order, frame.particles, &mut scratch.state);
         let Grid { cell_width, levels, .. } = self.grid;
         scratch.grid.nodes.rebuild(&scratch.state[0], &[window], cell_width, levels);
         self.resize(scratch, particles);
@@ -192,9 +193,9 @@ impl ParticleModel {
             nodes,
             ballistic,
             domain: frame.domain,
-            rest: &hidden_state.rest,
-            lattices: &hidden_state.lattices,
-            order: &hidden_state.order,
+            rest,
+            lattices,
+            order,
         };
         let predicted = Predicted {
             position: DisjointSlice::new(&mut next.position),
@@ -208,34 +209,29 @@ impl ParticleModel {
                 position,
                 velocity,
                 ballistic,
-                material: &hidden_state.material,
-                rest: &hidden_state.rest,
-                stiffness: hidden_state.stiffness,
+                material,
+                rest,
+                stiffness: *stiffness,
             },
-            place: &hidden_state.order,
+            place: order,
             walls,
             nodes,
             segments,
-            begun: hidden_state.begun,
+            begun: memory.begun,
             features: DisjointSlice::new(features),
             sums: DisjointSlice::new(segment_sums),
             ballistic_motion: DisjointSlice::new(ballistic_motion),
             fields: fields.each_mut().map(|field| DisjointSlice::new(field)),
             buffers: DisjointSlice::new(buffers),
-            hidden: DisjointSlice::new(&mut hidden_state.hidden),
-            cell: DisjointSlice::new(&mut hidden_state.cell),
-            expected_velocity: DisjointSlice::new(&mut hidden_state.expected_velocity),
+            hidden: DisjointSlice::new(&mut memory.hidden),
+            cell: DisjointSlice::new(&mut memory.cell),
+            expected_velocity: DisjointSlice::new(&mut memory.expected_velocity),
             predicted,
-            correction: self.rules.begin(
-                rules,
-                observed,
-                &mut hidden_state.expected_nodes,
-                predicted,
-            ),
+            correction: self.rules.begin(rules, observed, &mut memory.expected_nodes, predicted),
         };
         let stages = self.stages.iter().map(|&stage| context.items(stage));
         pool.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
-        hidden_state.begun = true;
+        memory.begun = true;
     }
 
     /// Resizes the buffers for a frame's particles, cells and nodes.

@@ -10,6 +10,7 @@ use std::{fmt, sync::Arc};
 use super::{
     Accelerator, DeviceStep, HiddenState, ModelError,
     frame_model::{self, FrameModel},
+    hidden_state::Memory,
     particle_model::{self, ParticleModel},
 };
 use eddy_frames::{Frame, FrameView, Material, Particles, Stamp};
@@ -155,16 +156,18 @@ impl Stepper {
         let StepRequest { hidden, frame, next } = request;
         let particles = self.prepare(hidden, &frame, next);
         let network = network_of(hidden, &self.network);
-        match (&*network, &mut self.scratch) {
-            (Network::Frame(model), Scratch::Frame(scratch)) => {
+        match (&*network, &mut self.scratch, &mut hidden.memory) {
+            (Network::Frame(model), Scratch::Frame(scratch), Memory::Frame(memory)) => {
                 let alone = model.work() < WORTH_WAKING;
-                model.step(&mut self.pool, alone, scratch, hidden, frame, next);
+                model.step(&mut self.pool, alone, scratch, memory, frame, next);
             }
-            (Network::Particle(model), Scratch::Particle(scratch)) => {
+            (Network::Particle(model), Scratch::Particle(scratch), Memory::Particle(memory)) => {
                 let alone = particles.saturating_mul(model.work()) < WORTH_WAKING;
-                model.step(&mut self.pool, alone, scratch, hidden, frame, next);
+                model.step(&mut self.pool, alone, scratch, memory, frame, next);
             }
-            _ => unreachable!("a network and its scratch buffers are made together"),
+            _ => unreachable!(
+                "a network, its scratch buffers and the states of its streams are made together"
+            ),
         }
     }
 
@@ -187,8 +190,10 @@ impl Stepper {
         for StepRequest { hidden, frame, next } in &mut *requests {
             self.prepare(hidden, frame, next);
             let network = network_of(hidden, &self.network);
-            let state =
-                hidden.device.as_deref_mut().expect("a state of this network is on its device");
+            let Memory::Device(state) = &mut hidden.memory else {
+                unreachable!("a state of this network is on its device")
+            };
+            let state = &mut **state;
             let step = DeviceStep { state, frame: *frame, next };
             match of_network.iter_mut().find(|(other, _)| Arc::ptr_eq(other, &network)) {
                 Some((_, steps)) => steps.push(step),

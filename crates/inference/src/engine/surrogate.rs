@@ -259,7 +259,7 @@ impl Surrogate {
         let own = self.by_stiffness.as_ref().zip(stiffness);
         let own = own.map(|(weights, stiffness)| weights.network(stiffness)).transpose()?;
         let network = own.as_ref().unwrap_or(&self.network);
-        let hidden = match &**network {
+        let mut hidden = match &**network {
             Network::Device(device) => {
                 let material: Vec<_> = frame.material.iter().map(|&kind| kind as u8).collect();
                 let (rest, lattices) = hidden_state::rest(&self.description, frame, stiffness);
@@ -270,10 +270,11 @@ impl Surrogate {
                     lattices: &lattices,
                     stiffness: stiffness.map(stiffness_feature),
                 })?;
-                HiddenState::on_device(material, state)
+                HiddenState::on_device(frame.len(), state)
             }
             _ => HiddenState::new(&self.description, frame, stiffness),
         };
-        Ok(HiddenState { network: own, ..hidden })
+        hidden.network = own;
+        Ok(hidden)
     }
 }

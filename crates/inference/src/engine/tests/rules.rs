@@ -5,7 +5,7 @@ use super::{
     *,
 };
 use crate::{
-    engine::{Corrector, scales::velocity_unit},
+    engine::{Corrector, hidden_state::Memory, scales::velocity_unit},
     kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 
@@ -127,7 +127,8 @@ fn jelly_of_a_stiffer_stream_has_stiffer_and_wider_elements() {
     let frame = &jelly(1)[0];
     let [soft, stiff] = [1e3, 1e5].map(|stiffness| {
         let hidden = surrogate.start_with_stiffness(frame, Some(stiffness)).unwrap();
-        let lattice = &hidden.lattices.bodies()[0];
+        let Memory::Particle(memory) = &hidden.memory else { unreachable!() };
+        let lattice = &memory.stream.lattices.bodies()[0];
         (lattice.elasticity().lame[0], lattice.elasticity().steps, lattice.inverse_mass().len())
     });
     assert!((soft.0 / 125.0 - 1.0).abs() < 1e-5, "300 / (2 (1 + .2))");
