@@ -4,7 +4,7 @@
 //!    same as command-line options.
 //! 2. [`counters`]: frames that were rejected, and why; losses. [`rejections`]: when that is said.
 //! 3. `stream`: what the node keeps of one stream: hidden state, sequence, warm-up, free run.
-//! 4. `step`: what a frame does to its own stream, in parallel with other streams.
+//! 4. `steps`: what a frame does to its own stream, in parallel with other streams. `prediction`: what comes of it.
 //! 5. [`node`]: which frames are used and what they do to the set of streams.
 //! 6. [`queue`]: between the subscriber and the node.
 //! 7. [`diagnostics`]: counters, rate and latency as `diagnostic_msgs/DiagnosticArray`. [`cloud`]: frames as point
@@ -31,12 +31,13 @@ mod observer;
 #[cfg(feature = "clap")]
 mod options;
 mod parameter;
+mod prediction;
 mod publishers;
 mod queue;
 mod rejections;
 mod services;
 mod settings;
-mod step;
+mod steps;
 mod stream;
 mod time;
 
@@ -56,9 +57,9 @@ pub use observer::{NodeReport, Observer};
 #[cfg(feature = "clap")]
 pub use options::{NodeOptions, PredictOptions};
 pub use parameter::Values;
+pub use prediction::Prediction;
 pub use queue::FrameQueue;
 pub use rejections::{Rejected, RejectionLog};
 pub use services::{lifecycle_services, node_services};
 pub use settings::{InvalidSettings, NodeSettings, PARAMETERS, ParameterSpec, Publish, parameter};
-pub use step::Prediction;
 pub use time::{OpenClock, RosTime};
