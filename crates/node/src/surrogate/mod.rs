@@ -13,13 +13,16 @@
 //!    services.
 //! 9. [`group`]: nodes that share streams.
 //! 10. [`time`]: system time or `/clock`.
-//! 11. [`driver`]: the loop that receives, predicts and publishes. `load`: whether it keeps up.
-//! 12. [`links`]: input and outputs. [`publishers`]: the topics that belong to them. [`live`]: a node with all of them open.
+//! 11. [`driver`]: the loop that receives, predicts and publishes. `running`: its predicting side. `sink`: its publishing
+//!     side, which survives the `failures` of outputs. `load`: whether it keeps up; `warnings`: when that is said.
+//! 12. [`links`]: input and outputs. [`outputs`]: the topics that belong to an output. [`publishers`]: opens them. [`live`]:
+//!     a node with all of them open.
 
 mod cloud;
 mod counters;
 pub mod diagnostics;
 mod driver;
+mod failures;
 mod group;
 mod handle;
 mod lifecycle;
@@ -30,23 +33,27 @@ mod node;
 mod observer;
 #[cfg(feature = "clap")]
 mod options;
+mod outputs;
 mod parameter;
 mod prediction;
 mod publishers;
 mod queue;
 mod rejections;
+mod running;
 mod services;
 mod settings;
+mod sink;
 mod steps;
 mod stream;
 mod time;
+mod warnings;
 
 #[cfg(test)]
 mod tests;
 
 pub use cloud::CloudTopic;
 pub use counters::{Counters, Rejection};
-pub use driver::{DriveError, NodeContext, Outputs, drive};
+pub use driver::{DriveError, NodeContext, drive};
 pub use group::{GroupCounts, GroupMember};
 pub use handle::{NodeHandle, NodeRequest, NodeResponse, RequestError};
 pub use lifecycle::{LifecycleState, LifecycleTransition, TRANSITIONS};
@@ -56,6 +63,7 @@ pub use node::{Arrival, OutputCallback, SurrogateNode};
 pub use observer::{NodeReport, Observer};
 #[cfg(feature = "clap")]
 pub use options::{NodeOptions, PredictOptions};
+pub use outputs::Outputs;
 pub use parameter::Values;
 pub use prediction::Prediction;
 pub use queue::FrameQueue;
