@@ -9,7 +9,7 @@ use std::{
 use super::{
     Counters, InvalidSettings, LifecycleState, LifecycleTransition, NodeSettings, Prediction,
     Rejected, Rejection, RejectionLog,
-    steps::{HorizonBuffers, StepContext, StreamSteps, interval},
+    steps::{BatchContext, HorizonBuffers, StreamSteps, interval},
     stream::{Order, StreamState, expected_error},
 };
 use eddy_frames::{Frame, FrameView};
@@ -85,7 +85,7 @@ fn prepare<'a>(
     arrivals: &'a [Arrival],
     streams: &'a mut BTreeMap<u64, StreamState>,
     buffers: &'a mut [HorizonBuffers],
-    context: StepContext<'a>,
+    context: BatchContext<'a>,
 ) -> [Option<StreamSteps<'a>>; MAX_BATCH] {
     let steps_of = |scheduled: &Scheduled, stream, buffers| {
         let (arrived, payload) = &arrivals[scheduled.index];
@@ -497,7 +497,7 @@ impl SurrogateNode {
             return;
         }
         let Self { surrogate, stepper, settings, streams, buffers, uses, .. } = self;
-        let context = StepContext {
+        let context = BatchContext {
             settings,
             warm_up: u64::from(surrogate.description().warm_up),
             error_model: surrogate.error_model(),

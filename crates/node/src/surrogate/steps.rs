@@ -32,7 +32,7 @@ pub(super) struct HorizonBuffers {
 
 /// What the streams of a batch have in common.
 #[derive(Clone, Copy)]
-pub(super) struct StepContext<'a> {
+pub(super) struct BatchContext<'a> {
     pub(super) settings: &'a NodeSettings,
     /// Frames that the model observes before its predictions are published.
     pub(super) warm_up: u64,
@@ -53,7 +53,7 @@ pub(super) struct StreamSteps<'a> {
     pub(super) arrived: Duration,
     /// Missing frames for the model to fill in.
     gap: u64,
-    context: StepContext<'a>,
+    context: BatchContext<'a>,
     /// Calls of [`StreamSteps::next`] so far.
     stepped: u64,
     /// Whether there are predictions to publish; set when the frame is observed.
@@ -70,7 +70,7 @@ impl<'a> StreamSteps<'a> {
         frame: FrameView<'a>,
         arrived: Duration,
         gap: u64,
-        context: StepContext<'a>,
+        context: BatchContext<'a>,
     ) -> Self {
         Self {
             stream,
@@ -116,7 +116,7 @@ impl<'a> StreamSteps<'a> {
 
     /// The stream has observed the frame: what comes next?
     fn observed(&mut self) {
-        let Self { stream, frame, context: StepContext { settings, warm_up, .. }, .. } = self;
+        let Self { stream, frame, context: BatchContext { settings, warm_up, .. }, .. } = self;
         (stream.sequence, stream.stamp) = (frame.sequence, frame.stamp);
         stream.observed += 1;
         if settings.free_run.is_some_and(|frames| stream.observed >= frames.max(*warm_up)) {
@@ -157,7 +157,7 @@ impl<'a> StreamSteps<'a> {
     fn finish(&mut self) {
         let Self { stream, buffers: HorizonBuffers { frames, expected_errors, .. }, .. } = self;
         let StreamState { predicted, error_tracker, .. } = &mut **stream;
-        let StepContext { settings, error_model, .. } = self.context;
+        let BatchContext { settings, error_model, .. } = self.context;
         expected_errors.clear();
         if !self.tracking {
             return;
@@ -176,7 +176,7 @@ impl<'a> StreamSteps<'a> {
     /// The predictions to publish: none during warm-up and free runs.
     pub(super) fn predictions(&self) -> impl Iterator<Item = Prediction<'_>> {
         let HorizonBuffers { frames, expected_errors, .. } = &*self.buffers;
-        let StepContext { settings, stop, .. } = self.context;
+        let BatchContext { settings, stop, .. } = self.context;
         let frames = published(&self.stream.predicted, frames, settings);
         let predictions = frames.zip(expected_errors).enumerate();
         predictions.take_while(|(number, _)| *number < FAR || !stop.load(Ordering::Relaxed)).map(
