@@ -25,32 +25,19 @@ const PREDICTION: &str = "/prediction";
 /// Writes the predictions from every frame of a bag into another. Log time is the predicted stamp, counted from the first one if
 /// that is before 0, so that two runs give identical files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads, args.device)?;
-    let mut settings = NodeSettings::default();
-    let options = args.settings.parameters();
-    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
-    let reader = BagReader::open(&args.input)?;
-    if surrogate.description().stiffness && settings.stiffness.is_none() {
-        let stiffness = dataset::stiffness_of(&reader, &args.topic);
-        settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
-    }
-    let stated = dataset::stated_by(&reader, &args.topic)?;
-    let mut node = SurrogateNode::new(surrogate, settings)?;
+    let (reader, mut node) = open(&args)?;
     let found = dataset::survey_streams(&reader, &args.topic, &|| interrupt.requested())?;
     if let (Some(first), false) = (found.unusable.values().next(), args.skip_streams) {
         return Err(streams::refused_frame(first));
     }
     let skipped: Vec<_> = found.unusable.values().cloned().collect();
     streams::count_skipped(&skipped, found.usable.len());
-    node.streams_state(stated);
 
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
-    let messages = reader.messages_of(&args.topic, ParticleFrame::TYPE)?;
-    // From the first prediction on, so that there is no empty bag.
-    let mut written: Option<(BagWriter, TopicId)> = None;
+    let mut predictions = Predictions { output: &args.output, written: None };
     let mut failure = None;
-    for message in messages {
+    for message in reader.messages_of(&args.topic, ParticleFrame::TYPE)? {
         if interrupt.requested() {
             failure = Some(anyhow!("{}: interrupted", args.output.display()));
             break;
@@ -67,27 +54,13 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         if payload.stream().is_some_and(|stream| found.unusable.contains_key(&stream)) {
             continue;
         }
-        let mut arrival = [(Duration::ZERO, payload)];
-        let (mut published, mut outcome) = (0, Ok(()));
-        node.on_frames(&mut arrival, None, &mut |_, predicted| match predicted {
-            Ok(Prediction { frame, .. }) if outcome.is_ok() => {
-                outcome = write(&mut written, &args.output, frame);
-                published += 1;
-            }
-            // The node logs what it rejects.
-            Ok(_) | Err(_) => {}
-        });
-        outcome?;
-        node.counters_mut().published += published;
+        predictions.add(&mut node, payload)?;
         if let Err(error) = node.check() {
             failure = Some(error.into());
             break;
         }
     }
-    let is_empty = written.is_none();
-    if let Some((writer, _)) = written {
-        writer.finish()?;
-    }
+    let is_empty = !predictions.finish()?;
     let input = args.input.display();
     node.rejections().totals().iter().for_each(|total| tracing::warn!("{input}: {total}"));
     if !quiet && !is_empty {
@@ -110,19 +83,62 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     Ok(())
 }
 
-/// Writes a prediction; the first one begins the bag.
-fn write(
-    written: &mut Option<(BagWriter, TopicId)>,
-    output: &Path,
-    frame: &Frame,
-) -> Result<(), BagError> {
-    let (writer, topic) = match written {
-        Some(open) => open,
-        None => {
-            let mut writer = BagWriter::create(output, WriterOptions::default())?;
-            let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
-            written.insert((writer, topic))
-        }
-    };
-    writer.write_stamped(*topic, frame.stamp, &frame.to_cdr())
+/// The bag, and a node with the settings of the command line and what the bag states about its streams.
+fn open(args: &PredictArgs) -> anyhow::Result<(BagReader, SurrogateNode)> {
+    let surrogate = surrogate::load(args.checkpoint.as_deref(), args.threads, args.device)?;
+    let mut settings = NodeSettings::default();
+    let options = args.settings.parameters();
+    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
+    let reader = BagReader::open(&args.input)?;
+    if surrogate.description().stiffness && settings.stiffness.is_none() {
+        let stiffness = dataset::stiffness_of(&reader, &args.topic);
+        settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
+    }
+    let stated = dataset::stated_by(&reader, &args.topic)?;
+    let mut node = SurrogateNode::new(surrogate, settings)?;
+    node.streams_state(stated);
+    Ok((reader, node))
+}
+
+/// The bag of the predictions. It begins with the first one, so that there is no empty bag.
+struct Predictions<'a> {
+    output: &'a Path,
+    written: Option<(BagWriter, TopicId)>,
+}
+
+impl Predictions<'_> {
+    /// Writes what the node predicts from a frame.
+    fn add(&mut self, node: &mut SurrogateNode, frame: Payload) -> Result<(), BagError> {
+        let (mut published, mut outcome) = (0, Ok(()));
+        node.on_frames(&mut [(Duration::ZERO, frame)], None, &mut |_, predicted| match predicted {
+            Ok(Prediction { frame, .. }) if outcome.is_ok() => {
+                outcome = self.write(frame);
+                published += 1;
+            }
+            // The node logs what it rejects.
+            Ok(_) | Err(_) => {}
+        });
+        outcome?;
+        node.counters_mut().published += published;
+        Ok(())
+    }
+
+    fn write(&mut self, frame: &Frame) -> Result<(), BagError> {
+        let (writer, topic) = match &mut self.written {
+            Some(open) => open,
+            none => {
+                let mut writer = BagWriter::create(self.output, WriterOptions::default())?;
+                let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
+                none.insert((writer, topic))
+            }
+        };
+        writer.write_stamped(*topic, frame.stamp, &frame.to_cdr())
+    }
+
+    /// Closes the bag. Returns whether there is one.
+    fn finish(self) -> Result<bool, BagError> {
+        let Some((writer, _)) = self.written else { return Ok(false) };
+        writer.finish()?;
+        Ok(true)
+    }
 }

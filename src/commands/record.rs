@@ -43,9 +43,6 @@ pub fn run(
     check(&args)?;
     let custom_data = checked_custom_data(&args.custom_data)?;
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
-    let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
-    let opener =
-        TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);
     let choice = TopicFilter {
         names: Vec::new(),
         regex: args.regex.clone(),
@@ -53,17 +50,10 @@ pub fn run(
         all: args.all,
     };
     let is_search = !choice.is_empty();
-    let discovery = TopicDiscovery::new(opener, args.links.clone(), args.from.clone(), choice);
-    discovery.open()?;
-    let split = Split {
-        size: args.max_bag_size,
-        duration: args.max_bag_duration.map(Duration::from_secs_f64),
-    };
-    let compression = args.compression;
-    let options = WriterOptions { compression, split, ..WriterOptions::default() };
+    let discovery = discovery(&mut args, &transports, choice)?;
     let place = args.output.clone().unwrap_or_else(default_output);
     let room = Output::at(&place, OutputKind::Bag, args.force, &[])?;
-    let mut bag = BagWriter::create(&place, options)?;
+    let mut bag = BagWriter::create(&place, writer_options(&args))?;
     bag.extend_custom_data(custom_data);
     let mut recorder = Recorder::new(bag, clock::wall());
     let clock = Clock::start();
@@ -92,17 +82,8 @@ pub fn run(
     note(&mut recorder, TOPICS_RECORDED_IN_PART, "recorded in part", &in_part);
     let bag = end(recorder, outcome, &losses, clock.now().as_secs_f64())?;
     room.replaced();
-    let undefined = bag.topics.iter().filter(|topic| !topic.has_definition()).count();
-    let missing: Vec<String> = [
-        (not_recorded.len(), "not recorded"),
-        (in_part.len(), "recorded in part"),
-        (undefined, "recorded without a definition"),
-    ]
-    .into_iter()
-    .filter(|(topics, _)| *topics > 0)
-    .map(|(topics, what)| format!("{} {what}", counted(topics as u64, "topic")))
-    .collect();
     let shown = bag.directory.display();
+    let missing = missing(&bag, &not_recorded, &in_part);
     ensure!(missing.is_empty(), "{shown}: {}", missing.join(", "));
     let from: Vec<_> = args.from.iter().map(ToString::to_string).collect();
     ensure!(
@@ -111,6 +92,40 @@ pub fn run(
         from.join(", ")
     );
     Ok(())
+}
+
+/// Opens the given topics, and searches for those of `choice`.
+fn discovery(
+    args: &mut RecordArgs,
+    transports: &Transports,
+    choice: TopicFilter,
+) -> anyhow::Result<TopicDiscovery> {
+    let overrides = super::qos_overrides(args.qos_profile_overrides_path.as_deref())?;
+    let opener =
+        TopicOpener::new(transports.clone(), mem::take(&mut args.ament_prefix_path), overrides);
+    let discovery = TopicDiscovery::new(opener, args.links.clone(), args.from.clone(), choice);
+    discovery.open()?;
+    Ok(discovery)
+}
+
+fn writer_options(args: &RecordArgs) -> WriterOptions {
+    let split = Split {
+        size: args.max_bag_size,
+        duration: args.max_bag_duration.map(Duration::from_secs_f64),
+    };
+    WriterOptions { compression: args.compression, split, ..WriterOptions::default() }
+}
+
+/// How many topics the bag lacks, or has in part.
+fn missing(bag: &BagSummary, not_recorded: &Reasons, in_part: &Reasons) -> Vec<String> {
+    let undefined = bag.topics.iter().filter(|topic| !topic.has_definition()).count();
+    let lacking = [
+        (not_recorded.len(), "not recorded"),
+        (in_part.len(), "recorded in part"),
+        (undefined, "recorded without a definition"),
+    ];
+    let lacking = lacking.into_iter().filter(|(topics, _)| *topics > 0);
+    lacking.map(|(topics, what)| format!("{} {what}", counted(topics as u64, "topic"))).collect()
 }
 
 /// A bag named after the time, as rosbag2 does.

@@ -71,6 +71,7 @@ fn changed(folder: &TempDir, name: &str, change: impl FnOnce(&mut Description)) 
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: an evaluation and its report")]
 fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));

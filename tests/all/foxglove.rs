@@ -97,6 +97,7 @@ impl Viewer {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: a node, a client, what it is shown")]
 fn clouds_status_and_diagnostics_of_a_node_are_shown() {
     let world = World::new("foxglove");
     simulate(world.folder.path().join("truth").as_path(), 1, 2.0);

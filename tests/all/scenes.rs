@@ -84,6 +84,7 @@ impl Written {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of cases")]
 fn what_is_wrong_in_a_scene_file_is_named_with_what_to_change() {
     let second = |body: &str| format!("{DISC}[[bodies]]\nmaterial = 'snow'\n{body}");
     let cases: [(String, &[&str]); 22] = [

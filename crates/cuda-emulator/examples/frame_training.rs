@@ -110,6 +110,7 @@ fn median(
     Ok(times[groups / 2])
 }
 
+#[expect(clippy::too_many_lines, reason = "a table of settings, then one loop over it")]
 fn time() -> Result<()> {
     for (name, settings, cores, place, pooling) in [
         (

@@ -153,6 +153,33 @@ impl EvaluationRequest {
     }
 }
 
+/// Checks that every model can predict every stream. Returns how streams differ from what the models were trained on, one
+/// sentence each.
+fn check_fits(
+    names: &[String],
+    models: &[Surrogate],
+    streams: &[Trajectory],
+) -> Result<Vec<String>, EvaluationError> {
+    let mut counted = BTreeMap::new();
+    for stream in streams {
+        let first = stream.cut(0..1)?.frame(0);
+        for (name, model) in names.iter().zip(models) {
+            model.fits(&first).map_err(|reason| EvaluationError::Stream {
+                checkpoint: name.clone(),
+                bag: stream.source.clone(),
+                stream: stream.id,
+                reason: Box::new(reason),
+            })?;
+            for warning in warnings(model.description(), &stream.setup()) {
+                *counted.entry(format!("{name}: {warning}")).or_insert(0) += 1;
+            }
+        }
+    }
+    let all = streams.len();
+    let counted = counted.into_iter();
+    Ok(counted.map(|(warning, found)| format!("{warning} ({found} of {all} streams)")).collect())
+}
+
 /// An evaluation that is ready to run: everything is loaded and compatible.
 pub struct Evaluation {
     selection: Selection,
@@ -215,26 +242,7 @@ impl Evaluation {
         let threads =
             threads.map_or_else(|| rollout_threads(&models, &selection.streams), NonZeroUsize::get);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        let mut counted = BTreeMap::new();
-        for stream in &selection.streams {
-            let first = stream.cut(0..1)?.frame(0);
-            for (name, model) in names.iter().zip(&models) {
-                model.fits(&first).map_err(|reason| EvaluationError::Stream {
-                    checkpoint: name.clone(),
-                    bag: stream.source.clone(),
-                    stream: stream.id,
-                    reason: Box::new(reason),
-                })?;
-                for warning in warnings(model.description(), &stream.setup()) {
-                    *counted.entry(format!("{name}: {warning}")).or_insert(0) += 1;
-                }
-            }
-        }
-        let all = selection.streams.len();
-        let counted = counted.into_iter();
-        let warnings = counted
-            .map(|(warning, streams)| format!("{warning} ({streams} of {all} streams)"))
-            .collect();
+        let warnings = check_fits(&names, &models, &selection.streams)?;
         let mut remarks = selection.remarks.clone();
         for (name, model) in names.iter().zip(&models) {
             remarks.extend(calibrated_on(name, model, &selection.streams)?);

@@ -2,8 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::plane;
+use super::{
+    error::MpmError,
+    plane,
+    scene::{finite, positive},
+};
 
+/// Maximum duration (frame intervals).
+const MAX_FRAMES: u32 = 1000;
 /// Distance below which the pull fades to zero at the centre (domain lengths).
 pub(super) const CORE: f32 = 0.05;
 
@@ -25,6 +31,24 @@ pub struct Attractor {
 }
 
 impl Attractor {
+    /// Checks the numbers.
+    pub(super) fn check(&self) -> Result<(), MpmError> {
+        let Self { centre, strength, frames, period } = *self;
+        positive("attractor.period", period.unwrap_or(1.0).into(), f64::MAX)?;
+        if frames > MAX_FRAMES {
+            return Err(MpmError::Field {
+                field: "attractor.frames".into(),
+                found: frames.to_string(),
+                expected: format!("at most {MAX_FRAMES}"),
+            });
+        }
+        for (name, number) in [("centre", centre[0]), ("centre", centre[1]), ("strength", strength)]
+        {
+            finite(&format!("attractor.{name}"), number.into())?;
+        }
+        Ok(())
+    }
+
     /// Acceleration at a position (domain lengths per s^2).
     pub fn acceleration(&self, position: [f32; 2]) -> [f32; 2] {
         let mut towards = [self.centre[0] - position[0], self.centre[1] - position[1]];

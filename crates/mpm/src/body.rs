@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{plane, shape::Shape};
+use super::{error::MpmError, plane, scene::finite, shape::Shape};
 use eddy_frames::Material;
 
 /// Shape, material and initial motion of a body.
@@ -28,6 +28,28 @@ pub struct Body {
 }
 
 impl Body {
+    /// Checks the numbers; `field` is the body's name in its file.
+    pub(super) fn check(&self, field: &str) -> Result<(), MpmError> {
+        if let Some((name, found, expected)) = self.shape.invalid() {
+            return Err(MpmError::Field {
+                field: format!("{field}.{name}"),
+                found,
+                expected: expected.into(),
+            });
+        }
+        let ([x, y], [u, v]) = (self.position, self.velocity);
+        for (name, number) in [
+            ("position", x),
+            ("position", y),
+            ("angle_degrees", self.angle_degrees),
+            ("velocity", u),
+            ("velocity", v),
+        ] {
+            finite(&format!("{field}.{name}"), number.into())?;
+        }
+        Ok(())
+    }
+
     /// Initial positions of the particles, `spacing` apart (domain lengths).
     pub fn positions(&self, spacing: f32) -> Vec<[f32; 2]> {
         self.placed(&self.lattice(spacing))

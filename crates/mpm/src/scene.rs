@@ -18,8 +18,6 @@ use eddy_frames::Material;
 
 /// Maximum number of particles per cell width.
 const MAX_PARTICLES_PER_CELL_WIDTH: f32 = 64.0;
-/// Maximum duration of an attractor (frame intervals).
-const MAX_ATTRACTOR_FRAMES: u32 = 1000;
 /// Minimum number of cells on each side of a domain: two walls and as much between them.
 const MIN_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 
@@ -98,6 +96,17 @@ pub struct Frames {
     /// The scene is at rest when the mean kinetic energy per mass, `|v|^2 / 2`, is below this (domain
     /// lengths^2 per s^2); 0.001 by default.
     pub rest: f64,
+}
+
+impl Frames {
+    /// Checks the numbers.
+    fn check(&self) -> Result<(), MpmError> {
+        let Self { interval, duration, shortest, rest } = *self;
+        positive("frames.interval", interval.into(), MAX_TIME)?;
+        positive("frames.duration", duration, MAX_TIME)?;
+        positive("frames.shortest", shortest.unwrap_or(duration), duration)?;
+        finite("frames.rest", rest)
+    }
 }
 
 impl Default for Scene {
@@ -218,51 +227,15 @@ impl Scene {
                 expected: "0 or a negative number: gravity is along y, and negative is down".into(),
             });
         }
-        let Frames { interval, duration, shortest, rest } = self.frames;
-        positive("frames.interval", interval.into(), MAX_TIME)?;
-        positive("frames.duration", duration, MAX_TIME)?;
-        positive("frames.shortest", shortest.unwrap_or(duration), duration)?;
-        finite("frames.rest", rest)?;
+        self.frames.check()?;
         let Materials { stiffness, viscosity, .. } = self.materials;
         positive("materials.stiffness", stiffness.into(), MAX_STIFFNESS)?;
         if viscosity != 0.0 {
             positive("materials.viscosity", viscosity.into(), MAX_STIFFNESS)?;
         }
-        if let Some(Attractor { centre, strength, frames, period }) = self.attractor {
-            positive("attractor.period", period.unwrap_or(1.0).into(), f64::MAX)?;
-            if frames > MAX_ATTRACTOR_FRAMES {
-                return Err(MpmError::Field {
-                    field: "attractor.frames".into(),
-                    found: frames.to_string(),
-                    expected: format!("at most {MAX_ATTRACTOR_FRAMES}"),
-                });
-            }
-            for (name, number) in
-                [("centre", centre[0]), ("centre", centre[1]), ("strength", strength)]
-            {
-                finite(&format!("attractor.{name}"), number.into())?;
-            }
-        }
+        self.attractor.iter().try_for_each(Attractor::check)?;
         for (index, body) in self.bodies.iter().enumerate() {
-            let [x, y] = body.position;
-            let [u, v] = body.velocity;
-            let field = |name: &str| format!("bodies[{index}].{name}");
-            if let Some((name, found, expected)) = body.shape.invalid() {
-                return Err(MpmError::Field {
-                    field: field(name),
-                    found,
-                    expected: expected.into(),
-                });
-            }
-            for (name, number) in [
-                ("position", x),
-                ("position", y),
-                ("angle_degrees", body.angle_degrees),
-                ("velocity", u),
-                ("velocity", v),
-            ] {
-                finite(&field(name), number.into())?;
-            }
+            body.check(&format!("bodies[{index}]"))?;
         }
         for (index, emitter) in self.emitters.iter().enumerate() {
             emitter.check(&format!("emitters[{index}]"), self)?;

@@ -37,7 +37,9 @@ use eddy_evaluation::{
     evaluate_model,
 };
 use eddy_frames::{Stamp, clock, decimal};
+use eddy_inference::checkpoint::Description;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
+use eddy_mpm::Scene;
 use eddy_node::{
     FrameQueue, NodeContext, NodeHandle, NodeSettings, OpenClock, Outputs, Pacer, PlayerHandle,
     Recorder, RosTime, SurrogateNode, drive,
@@ -73,20 +75,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         endless: !args.headless && args.seconds.is_none(),
     };
     let first = scenes.simulation(0)?;
-    // With a page, free runs pause with the simulation, and finished scenes are evicted.
-    let settings = match args.headless {
-        true => NodeSettings { horizon: AHEAD, ..NodeSettings::default() },
-        false => NodeSettings {
-            horizon: AHEAD,
-            use_sim_time: true,
-            max_streams: 1,
-            ..NodeSettings::default()
-        },
-    };
-    // All scenes have the preset's.
-    let stiffness = first.scene().materials.stiffness;
-    let stiffness = surrogate.description().stiffness.then_some(stiffness.into());
-    let settings = NodeSettings { stiffness, ..settings };
+    let settings = node_settings(args.headless, surrogate.description(), first.scene());
     let (handle, source) = (Arc::new(NodeHandle::default()), Arc::new(PlayerHandle::default()));
     let page = (!args.headless).then(|| {
         let panel = ControlPanel::of_both(Arc::clone(&handle), Arc::clone(&source));
@@ -110,42 +99,16 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     links.source.hub = page.as_ref().map(|page| Arc::clone(page.hub()));
     links.outputs.observers.extend(page.as_ref().map(LivePage::observer));
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
-    let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
-
-    let complete = thread::scope(|scope| -> anyhow::Result<bool> {
-        let truth = scope.spawn(|| {
-            let is_stopped = || interrupt.requested() || stop.load(Ordering::Relaxed);
-            let outcome =
-                scenes.play(first, &mut Pacer::controlled(&source), is_stopped, &mut links.source);
-            truth_ended.store(true, Ordering::Relaxed);
-            // Nobody waits for a simulation that has ended.
-            source.close();
-            outcome
-        });
-        let queue = FrameQueue::new(16, Reliability::Block);
-        let outputs = std::slice::from_mut(&mut links.outputs);
-        let (node, input, stop) = (&mut node, links.input.as_mut(), &stop);
-        let (transports, handle) = (&transports, &handle);
-        let predictor = scope.spawn(move || {
-            let time = RosTime::new(simulated_time(transports.clone()));
-            let (name, link) = (format!("/{NAME}"), Link::memory("/particles"));
-            let mut context = NodeContext { name, input: link, time, group: None };
-            drive(node, &mut context, input, outputs, &queue, handle, stop)
-        });
-
-        let watched = links.watch.run(
-            Live::start(comparison, Duration::ZERO),
-            &truth_ended,
-            if live_line { Printer::Line } else { Printer::Lines { quiet } },
-        );
-        stop.store(true, Ordering::Relaxed);
-        // Both block while nobody reads their topics.
-        links.watch.drain(watched.is_ok(), || truth.is_finished() && predictor.is_finished());
-        let truth = join(truth);
-        join(predictor)?;
-        watched?;
-        truth
-    })?;
+    let printer = if live_line { Printer::Line } else { Printer::Lines { quiet } };
+    let simulate = |stop: &AtomicBool, to: &mut Source| {
+        let is_stopped = || interrupt.requested() || stop.load(Ordering::Relaxed);
+        let outcome = scenes.play(first, &mut Pacer::controlled(&source), is_stopped, to);
+        // Nobody waits for a simulation that has ended.
+        source.close();
+        outcome
+    };
+    let live = Live::start(comparison, Duration::ZERO);
+    let complete = links.run(&transports, &mut node, &handle, simulate, live, printer)?;
     drop(page);
     let recorded = links.watch.finish()?;
     output.replaced();
@@ -156,6 +119,18 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         return Ok(());
     }
     report(&node, &folder, &bag, quiet, interrupt)
+}
+
+/// Settings of the node that predicts `scene`.
+fn node_settings(headless: bool, model: &Description, scene: &Scene) -> NodeSettings {
+    // All scenes have the preset's stiffness.
+    let stiffness = model.stiffness.then_some(scene.materials.stiffness.into());
+    let settings = NodeSettings { horizon: AHEAD, stiffness, ..NodeSettings::default() };
+    match headless {
+        true => settings,
+        // With a page, free runs pause with the simulation, and finished scenes are evicted.
+        false => NodeSettings { use_sim_time: true, max_streams: 1, ..settings },
+    }
 }
 
 /// Says what is simulated and what the numbers mean.
@@ -225,6 +200,44 @@ impl Links {
                 publish("/prediction", ParticleFrame::TYPE)?,
                 publish("/prediction/status", PredictionStatus::TYPE)?,
             ),
+        })
+    }
+
+    /// Simulates, predicts and watches, each on a thread of its own, until the simulation has ended. `simulate` returns whether
+    /// the first scene was complete, and ends when the flag is raised.
+    fn run(
+        &mut self,
+        transports: &Transports,
+        node: &mut SurrogateNode,
+        handle: &NodeHandle,
+        simulate: impl FnOnce(&AtomicBool, &mut Source) -> anyhow::Result<bool> + Send,
+        live: Live,
+        printer: Printer,
+    ) -> anyhow::Result<bool> {
+        let Self { source, input, outputs, watch } = self;
+        let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
+        thread::scope(|scope| {
+            let truth = scope.spawn(|| {
+                let outcome = simulate(&stop, source);
+                truth_ended.store(true, Ordering::Relaxed);
+                outcome
+            });
+            let queue = FrameQueue::new(16, Reliability::Block);
+            let (input, outputs, stop) = (input.as_mut(), std::slice::from_mut(outputs), &stop);
+            let predictor = scope.spawn(move || {
+                let time = RosTime::new(simulated_time(transports.clone()));
+                let (name, link) = (format!("/{NAME}"), Link::memory("/particles"));
+                let mut context = NodeContext { name, input: link, time, group: None };
+                drive(node, &mut context, input, outputs, &queue, handle, stop)
+            });
+            let watched = watch.run(live, &truth_ended, printer);
+            stop.store(true, Ordering::Relaxed);
+            // Both block while nobody reads their topics.
+            watch.drain(watched.is_ok(), || truth.is_finished() && predictor.is_finished());
+            let truth = join(truth);
+            join(predictor)?;
+            watched?;
+            truth
         })
     }
 }

@@ -33,7 +33,7 @@ use eddy_node::{
 use eddy_settings::{self as config, usage::Usage};
 #[cfg(feature = "foxglove")]
 use eddy_transport::{FoxgloveAddress, FoxgloveServer};
-use eddy_transport::{Link, Reliability};
+use eddy_transport::{Link, ListenAddress, Reliability};
 
 /// Interval between looks at the keyboard.
 const KEY_INTERVAL: Duration = Duration::from_millis(50);
@@ -80,62 +80,19 @@ pub fn run(
 ) -> anyhow::Result<()> {
     // Before the first thread starts: threads inherit all of this.
     real_time::apply(&args.real_time)?;
-    let file: NodeFile = match &args.config {
-        Some(path) => config::load(path)?,
-        None => NodeFile::default(),
-    };
-    let mut settings = file.node;
-    let options = args.settings.parameters();
-    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
-    set_parameters(&mut settings, ros)?;
-    let outputs = if args.output.is_empty() { file.output } else { args.output };
-    let links = NodeLinks::new(args.input.or(file.input), outputs)
-        .map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
+    let (mut live, links) = open(&args, ros, interrupt)?;
     let renamed = links.renamed(ros);
-    renamed.check(args.lifecycle, !settings.group.is_empty()).map_err(Usage::new)?;
-    let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
-    let qos = TopicQos::from_parameters(ros.parameters())?;
-
-    let checkpoint = args.checkpoint.or(file.checkpoint);
-    let surrogate = surrogate::load(checkpoint.as_deref(), args.threads, args.device)?;
-    let mut node = SurrogateNode::new(surrogate, settings)?;
-    if args.lifecycle {
-        node.manage();
-    }
-    let mut live = LiveNode::open(node, &links, ros, reliability, qos, interrupt.shared())?;
     let on = renamed.all().map(|link| link.transport);
     let _log = publish_log(rosout, live.transports(), ros, on)?;
     let input = &renamed.input;
     #[cfg(feature = "foxglove")]
     let foxglove = foxglove(args.foxglove, &args.foxglove_origin, &links, ros, &mut live.outputs)
         .context("--foxglove")?;
-    let (handle, surrogate) = (Arc::clone(live.handle()), live.node().surrogate());
-
     // Dropped before the outputs, whose observer may outlive it.
-    let page = args.view.map(|address| {
-        let info = PageInfo {
-            command: "node",
-            title: format!("{} on {input}", ros.full_name()),
-            model: Some(surrogate.digest().to_owned()),
-        };
-        let panel = ControlPanel::of_node(Arc::clone(&handle));
-        LivePage::serve(address, surrogate.description(), info, panel)
-    });
-    let page = page.transpose().context("--view")?;
-    if let (Some(page), Some(first)) = (&page, live.outputs.first_mut()) {
-        first.observers.push(page.observer());
-    }
-
+    let title = format!("{} on {input}", ros.full_name());
+    let page = args.view.map(|address| serve_page(address, title, &mut live)).transpose()?;
     if !quiet {
-        let digest = &live.node().surrogate().digest()[..12];
-        let names: Vec<_> = renamed.outputs.iter().map(ToString::to_string).collect();
-        println!("predicting {input} -> {} with model {digest}", names.join(", "));
-        tracing::info!("predicting {input} -> {} with model {digest}", names.join(", "));
-        for link in &renamed.outputs {
-            if let Some(memory) = live.transports().shared_memory(link, ParticleFrame::TYPE)? {
-                println!("{link} uses {memory}, more for frames of more than 2,560 particles");
-            }
-        }
+        show_links(&live, &renamed)?;
     }
     #[cfg(feature = "foxglove")]
     if let Some(server) = &foxglove {
@@ -151,7 +108,7 @@ pub fn run(
         terminal::show_status(&format!("waiting for frames on {input}"));
         first.observers.push(Box::new(StatusLine));
     }
-    let ended = AtomicBool::new(false);
+    let (handle, ended) = (Arc::clone(live.handle()), AtomicBool::new(false));
     let outcome = thread::scope(|scope| {
         let keyboard = if has_line { Keyboard::open() } else { None };
         if let Some(keyboard) = keyboard {
@@ -167,6 +124,69 @@ pub fn run(
         println!("{}", summary(live.node()));
     }
     Ok(outcome?)
+}
+
+/// Opens the node with its links: of the command line, else of the settings file, else the default ones.
+fn open(
+    args: &NodeArgs,
+    ros: &RosNode,
+    interrupt: &Interrupt,
+) -> anyhow::Result<(LiveNode, NodeLinks)> {
+    let file: NodeFile = match &args.config {
+        Some(path) => config::load(path)?,
+        None => NodeFile::default(),
+    };
+    let mut settings = file.node;
+    let options = args.settings.parameters();
+    options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
+    set_parameters(&mut settings, ros)?;
+    let outputs = if args.output.is_empty() { file.output } else { args.output.clone() };
+    let links = NodeLinks::new(args.input.clone().or(file.input), outputs)
+        .map_err(|error| Usage::new(format_args!("EDDY_TRANSPORT: {error}")))?;
+    let is_in_group = !settings.group.is_empty();
+    links.renamed(ros).check(args.lifecycle, is_in_group).map_err(Usage::new)?;
+    let reliability = args.reliability.or(file.reliability).unwrap_or(Reliability::Drop);
+    let qos = TopicQos::from_parameters(ros.parameters())?;
+
+    let checkpoint = args.checkpoint.as_deref().or(file.checkpoint.as_deref());
+    let surrogate = surrogate::load(checkpoint, args.threads, args.device)?;
+    let mut node = SurrogateNode::new(surrogate, settings)?;
+    if args.lifecycle {
+        node.manage();
+    }
+    let live = LiveNode::open(node, &links, ros, reliability, qos, interrupt.shared())?;
+    Ok((live, links))
+}
+
+/// Serves the live page, which observes the first output.
+fn serve_page(
+    address: ListenAddress,
+    title: String,
+    live: &mut LiveNode,
+) -> anyhow::Result<LivePage> {
+    let surrogate = live.node().surrogate();
+    let info = PageInfo { command: "node", title, model: Some(surrogate.digest().to_owned()) };
+    let panel = ControlPanel::of_node(Arc::clone(live.handle()));
+    let page = LivePage::serve(address, surrogate.description(), info, panel).context("--view")?;
+    if let Some(first) = live.outputs.first_mut() {
+        first.observers.push(page.observer());
+    }
+    Ok(page)
+}
+
+/// Says what is predicted from which topic to which, and the shared memory that this takes.
+fn show_links(live: &LiveNode, renamed: &NodeLinks) -> anyhow::Result<()> {
+    let digest = &live.node().surrogate().digest()[..12];
+    let (input, outputs) = (&renamed.input, &renamed.outputs);
+    let names: Vec<_> = outputs.iter().map(ToString::to_string).collect();
+    println!("predicting {input} -> {} with model {digest}", names.join(", "));
+    tracing::info!("predicting {input} -> {} with model {digest}", names.join(", "));
+    for link in outputs {
+        if let Some(memory) = live.transports().shared_memory(link, ParticleFrame::TYPE)? {
+            println!("{link} uses {memory}, more for frames of more than 2,560 particles");
+        }
+    }
+    Ok(())
 }
 
 /// Sets the parameters of `--ros-args`, which take precedence, except those for the QoS of topics and those without an effect. Unknown parameters for

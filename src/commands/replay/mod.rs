@@ -25,7 +25,7 @@ use eddy_node::{
     ros::{RosNode, Rosout},
     viewer::BagView,
 };
-use eddy_transport::{Link, Transports};
+use eddy_transport::{Link, ListenAddress, Transports};
 
 /// Publishes the messages of the bag until its end or a signal.
 pub fn run(
@@ -47,38 +47,22 @@ pub fn run(
         overrides: super::qos_overrides(args.qos_profile_overrides_path.as_deref())?,
     };
     let plan = PlaybackPlan::new(&bag, ros, &options)?;
-    let mut player = Player::new(
-        &bag,
-        PlayerOptions {
-            rate: args.rate,
-            start_offset: args.start_offset,
-            duration: args.duration,
-            looped: args.looped,
-            topics: Some(names(&args, &bag, &plan)?),
-            clock: args.clock,
-            paused: args.start_paused,
-            overrides: options.overrides.clone(),
-        },
-    )?;
+    let player_options = PlayerOptions {
+        rate: args.rate,
+        start_offset: args.start_offset,
+        duration: args.duration,
+        looped: args.looped,
+        topics: Some(names(&args, &bag, &plan)?),
+        clock: args.clock,
+        paused: args.start_paused,
+        overrides: options.overrides.clone(),
+    };
+    let mut player = Player::new(&bag, player_options)?;
     // Sessions end with it, hence it lives until the last message is sent.
     let transports = Transports::stopped_by(interrupt.shared(), ros.transport_options()?);
     let mut outputs = TopicOutputs::open(&transports, &options, plan)?;
     let _log = publish_log(rosout, &transports, ros, [args.to])?;
-    for PlannedTopic { name, link, support, .. } in
-        outputs.topics().iter().map(|topic| &topic.planned)
-    {
-        println!("publishing {} on {link} ({})", name.escape_debug(), support.name);
-    }
-    if outputs.topics().is_empty() {
-        bail!(
-            "{}: no topic can be published: {}",
-            args.bag.display(),
-            outputs.left_out().join("; ")
-        );
-    }
-    if let Some(link) = outputs.clock() {
-        println!("publishing the recorded time on {link}");
-    }
+    show_topics(&bag, &outputs)?;
     for topic in outputs.topics().iter().filter(|topic| !topic.planned.is_aside) {
         let publisher = topic.publisher.as_ref();
         if !wait_for_subscribers(&topic.planned.link, publisher, args.wait_for, interrupt)? {
@@ -87,14 +71,7 @@ pub fn run(
     }
     // Not before the loop runs that executes their commands.
     let services = PlayerServices::offer(&transports, args.to, ros)?;
-    let view = args.view.map(|address| -> anyhow::Result<_> {
-        // Its gravity and walls are those of the baselines beside recorded predictions.
-        let model = Checkpoint::shipped().context("the shipped checkpoint")?;
-        let view = BagView::serve(address, &bag, &model.description).context("--view")?;
-        super::announce_page(view.page());
-        Ok(view)
-    });
-    let view = view.transpose()?;
+    let view = args.view.map(|address| serve_page(address, &bag)).transpose()?;
     let keyboard = Keyboard::open();
     ensure!(
         keyboard.is_some() || services.is_some() || view.is_some() || !args.start_paused,
@@ -115,10 +92,42 @@ pub fn run(
     terminal::clear_status();
     played?;
     outputs.flush()?;
-    let (bag, TopicOutputs { sent, undelivered, .. }) = (bag.path().display(), &outputs);
     if !quiet {
-        println!("{bag}: {} messages in {:.1} s", HumanCount(*sent), clock.now().as_secs_f64());
+        let (bag, sent) = (bag.path().display(), HumanCount(outputs.sent));
+        println!("{bag}: {sent} messages in {:.1} s", clock.now().as_secs_f64());
     }
+    check_complete(&bag, &outputs)
+}
+
+/// Says what is published where.
+fn show_topics(bag: &BagReader, outputs: &TopicOutputs) -> anyhow::Result<()> {
+    for PlannedTopic { name, link, support, .. } in
+        outputs.topics().iter().map(|topic| &topic.planned)
+    {
+        println!("publishing {} on {link} ({})", name.escape_debug(), support.name);
+    }
+    if outputs.topics().is_empty() {
+        let reasons = outputs.left_out().join("; ");
+        bail!("{}: no topic can be published: {reasons}", bag.path().display());
+    }
+    if let Some(link) = outputs.clock() {
+        println!("publishing the recorded time on {link}");
+    }
+    Ok(())
+}
+
+/// Serves the live page.
+fn serve_page(address: ListenAddress, bag: &BagReader) -> anyhow::Result<BagView> {
+    // Its gravity and walls are those of the baselines beside recorded predictions.
+    let model = Checkpoint::shipped().context("the shipped checkpoint")?;
+    let view = BagView::serve(address, bag, &model.description).context("--view")?;
+    super::announce_page(view.page());
+    Ok(view)
+}
+
+/// Checks that every message of every topic was delivered.
+fn check_complete(bag: &BagReader, outputs: &TopicOutputs) -> anyhow::Result<()> {
+    let (bag, TopicOutputs { sent, undelivered, .. }) = (bag.path().display(), outputs);
     let left_out = outputs.left_out();
     for reason in &left_out {
         println!("not published: {reason}");

@@ -111,6 +111,7 @@ fn marks(svg: &mut String, points: &[[f64; 2]], corners: &[[f64; 2]], colour: &s
 }
 
 /// The plot as SVG.
+#[expect(clippy::too_many_lines, reason = "the parts of one plot, one after another")]
 pub fn svg() -> String {
     let page = fs::read_to_string(root().join("docs/src/background/other_simulators.md")).unwrap();
     let line = |first: &str| {

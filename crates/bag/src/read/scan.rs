@@ -13,10 +13,10 @@ use mcap::{
 use super::{
     block::{Block, BlockKind, Switch, describe, unknown_channel, unreadable, wanted_record},
     index::{
-        BlockContents, ChannelKey, Damage, Declarations, FileIndex, PROGRESS_STEP, Progress,
+        BlockContents, ChannelKey, Damage, Declarations, FileIndex, PROGRESS_STEP, Progress, Times,
         add_counts, widen,
     },
-    records::{NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
+    records::{ChunkHeader, NO_RECORD, RecordHeader, Records, SIZE_LIMIT, Step},
     statements::{LastChunk, ONE_CONTENT, Statements},
 };
 use crate::{
@@ -89,31 +89,10 @@ impl FileIndex {
                     return Err(ScanError::Bag(BagError::Interrupted { path }));
                 }
             }
-            let header = match records.step() {
-                Ok(Step::Record(header) | Step::TruncatedBody(header)) if !in_summary => {
-                    match self.with_true_length(header, records, scan)? {
-                        Some(header) => header,
-                        None => continue,
-                    }
-                }
-                Ok(Step::Record(header) | Step::TruncatedBody(header)) => header,
-                Ok(Step::TruncatedHeader) => return Ok(Some("a record header of 9 bytes".into())),
-                // A file that is still being written may end after any complete record.
-                Ok(Step::End) if !in_summary && layout::is_active(&self.path) => {
-                    return Ok(None);
-                }
-                Ok(Step::End) => return Ok(Some("the data end record and the footer".into())),
-                Err(error) if BagError::is_unreadable(&error) => {
-                    let position = records.position;
-                    self.add_damage(position, unreadable(&error), "a record".into());
-                    if in_summary
-                        || !records.seek_message(position + 1, &self.known_channels(scan))?
-                    {
-                        return Ok(Some(format!("a record from byte {position}")));
-                    }
-                    continue;
-                }
-                Err(error) => return Err(error.into()),
+            let header = match self.next_header(records, scan, in_summary)? {
+                Next::Record(header) => header,
+                Next::Skipped => continue,
+                Next::End { missing } => return Ok(missing),
             };
             if header.end() > self.size {
                 if header.opcode == op::CHUNK && !in_summary {
@@ -130,14 +109,7 @@ impl FileIndex {
                     return Ok(Some(format!("a record from byte {}", header.position)));
                 }
                 op::FOOTER => {
-                    let rest = self.size - header.end();
-                    if rest > MAGIC.len() as u64 {
-                        // A damaged opcode: the record is not a footer and hides what follows.
-                        let expected = "no footer before the end of the file".to_owned();
-                        self.add_damage(header.position, describe(&header), expected);
-                    }
-                    let expected = "the 8 bytes that end an MCAP file";
-                    return Ok((rest < MAGIC.len() as u64).then(|| expected.into()));
+                    return Ok(self.footer(&header));
                 }
                 op::DATA_END => {
                     if header.length != DATA_END_LENGTH {
@@ -162,6 +134,51 @@ impl FileIndex {
                 self.data_end = header.end();
             }
         }
+    }
+
+    /// The header of the next record, with its true length.
+    fn next_header(
+        &mut self,
+        records: &mut Records,
+        scan: &mut Scan,
+        in_summary: bool,
+    ) -> Result<Next, ScanError> {
+        let missing = match records.step() {
+            Ok(Step::Record(header) | Step::TruncatedBody(header)) if in_summary => {
+                return Ok(Next::Record(header));
+            }
+            Ok(Step::Record(header) | Step::TruncatedBody(header)) => {
+                let header = self.with_true_length(header, records, scan)?;
+                return Ok(header.map_or(Next::Skipped, Next::Record));
+            }
+            Ok(Step::TruncatedHeader) => "a record header of 9 bytes".into(),
+            // A file that is still being written may end after any complete record.
+            Ok(Step::End) if !in_summary && layout::is_active(&self.path) => {
+                return Ok(Next::End { missing: None });
+            }
+            Ok(Step::End) => "the data end record and the footer".into(),
+            Err(error) if BagError::is_unreadable(&error) => {
+                let position = records.position;
+                self.add_damage(position, unreadable(&error), "a record".into());
+                if !in_summary && records.seek_message(position + 1, &self.known_channels(scan))? {
+                    return Ok(Next::Skipped);
+                }
+                format!("a record from byte {position}")
+            }
+            Err(error) => return Err(error.into()),
+        };
+        Ok(Next::End { missing: Some(missing) })
+    }
+
+    /// Ends the scan at the footer. Returns what is missing after it.
+    fn footer(&mut self, header: &RecordHeader) -> Option<String> {
+        let rest = self.size - header.end();
+        if rest > MAGIC.len() as u64 {
+            // A damaged opcode: the record is not a footer and hides what follows.
+            let expected = "no footer before the end of the file".to_owned();
+            self.add_damage(header.position, describe(header), expected);
+        }
+        (rest < MAGIC.len() as u64).then(|| "the 8 bytes that end an MCAP file".into())
     }
 
     /// Checks the length of a record by what follows it. Where no record follows, the length is damaged: a chunk
@@ -331,18 +348,7 @@ impl FileIndex {
             Err(error) => return Err(error.into()),
         }
         if let Some(fields) = fields.filter(|_| kind == BlockKind::Chunk) {
-            let (message_start_time, message_end_time) = times.unwrap_or_default();
-            self.chunks.push(ChunkIndex {
-                message_start_time,
-                message_end_time,
-                chunk_start_offset: header.position,
-                chunk_length: block.length,
-                message_index_offsets: BTreeMap::new(),
-                message_index_length: 0,
-                compressed_size: header.length.saturating_sub(fields.records as u64),
-                uncompressed_size: fields.uncompressed,
-                compression: fields.compression,
-            });
+            self.chunks.push(chunk_index(&block, header, fields, times.unwrap_or_default()));
         }
         if kind == BlockKind::Chunk {
             scan.statements.begin_chunk(chunk);
@@ -464,6 +470,37 @@ impl FileIndex {
             }
             _ => self.contents.push(added),
         }
+    }
+}
+
+/// What the scan finds at its position.
+enum Next {
+    Record(RecordHeader),
+    /// Something damaged; the scan continues behind it.
+    Skipped,
+    /// The end, before which something may be missing.
+    End {
+        missing: Option<String>,
+    },
+}
+
+/// The index of the chunk in `block`, without its message indexes, which follow it.
+fn chunk_index(
+    block: &Block,
+    header: &RecordHeader,
+    fields: ChunkHeader,
+    (message_start_time, message_end_time): Times,
+) -> ChunkIndex {
+    ChunkIndex {
+        message_start_time,
+        message_end_time,
+        chunk_start_offset: block.position,
+        chunk_length: block.length,
+        message_index_offsets: BTreeMap::new(),
+        message_index_length: 0,
+        compressed_size: header.length.saturating_sub(fields.records as u64),
+        uncompressed_size: fields.uncompressed,
+        compression: fields.compression,
     }
 }
 

@@ -26,6 +26,9 @@ pub(super) struct Statements {
     auxiliary: Vec<(u64, AuxiliaryPlace)>,
 }
 
+/// What the summary section says otherwise than the data section: position, found, expected.
+type Difference = (u64, String, String);
+
 /// Where an index says that an attachment or a metadata record is: opcode, position, length.
 type AuxiliaryPlace = (u8, u64, u64);
 
@@ -149,8 +152,15 @@ impl Statements {
         }
     }
 
-    /// Position, found, expected.
-    fn differences(&self, index: &FileIndex) -> Vec<(u64, String, String)> {
+    fn differences(&self, index: &FileIndex) -> Vec<Difference> {
+        let mut differences = self.channel_differences(index);
+        differences.extend(self.chunk_differences(index));
+        differences.extend(self.statistics_differences(index));
+        differences.extend(self.auxiliary_differences(index));
+        differences
+    }
+
+    fn channel_differences(&self, index: &FileIndex) -> Vec<Difference> {
         let mut differences = Vec::new();
         let data = &index.declared;
         for (&id, of_summary) in &self.declared.channels {
@@ -161,6 +171,11 @@ impl Statements {
                 differences.push((position, declared_twice(&found, &data), ONE_CONTENT.into()));
             }
         }
+        differences
+    }
+
+    fn chunk_differences(&self, index: &FileIndex) -> Vec<Difference> {
+        let mut differences = Vec::new();
         let chunks: BTreeMap<u64, &ChunkIndex> =
             index.chunks.iter().map(|chunk| (chunk.chunk_start_offset, chunk)).collect();
         let with_messages: BTreeSet<u64> =
@@ -176,43 +191,55 @@ impl Statements {
                 differences.push((*position, found, expected));
             }
         }
+        differences
+    }
+
+    /// Differences of the statistics record, and of the number of chunk indexes.
+    fn statistics_differences(&self, index: &FileIndex) -> Vec<Difference> {
+        let mut differences = Vec::new();
         let mut number = |position: u64, what: &str, found: u64, expected: u64| {
             if found != expected {
                 let found = format!("statistics: {what}: {found}");
                 differences.push((position, found, format!("{expected} as in the data section")));
             }
         };
-        let chunk_count = chunks.len() as u64;
+        let chunks: BTreeSet<u64> =
+            index.chunks.iter().map(|chunk| chunk.chunk_start_offset).collect();
+        let chunks = chunks.len() as u64;
         if let Some((position, _)) = self.chunk_indexes.first() {
-            number(*position, "chunk indexes", self.chunk_indexes.len() as u64, chunk_count);
+            number(*position, "chunk indexes", self.chunk_indexes.len() as u64, chunks);
         }
-        if let Some((position, statistics)) = &self.statistics {
-            let total = self.counts.values().sum();
-            number(*position, "message_count", statistics.message_count, total);
-            let of_channel = &statistics.channel_message_counts;
-            let others = of_channel.keys().filter(|id| !self.counts.contains_key(*id));
-            for channel in self.counts.keys().chain(others) {
-                // Some writers leave them out.
-                if let Some(found) =
-                    of_channel.get(channel).or((!of_channel.is_empty()).then_some(&0))
-                {
-                    let expected = self.counts.get(channel).copied().unwrap_or_default();
-                    number(*position, &format!("messages of channel {channel}"), *found, expected);
-                }
-            }
-            number(*position, "chunk_count", statistics.chunk_count.into(), chunk_count);
-            for (what, found, opcode) in [
-                ("attachment_count", statistics.attachment_count, op::ATTACHMENT),
-                ("metadata_count", statistics.metadata_count, op::METADATA),
-            ] {
-                let records = index.auxiliary.iter().filter(|record| record.opcode == opcode);
-                number(*position, what, found.into(), records.count() as u64);
-            }
-            if let Some((first, last)) = index.times {
-                number(*position, "message_start_time", statistics.message_start_time, first);
-                number(*position, "message_end_time", statistics.message_end_time, last);
+        let Some((position, statistics)) = &self.statistics else { return differences };
+        let total = self.counts.values().sum();
+        number(*position, "message_count", statistics.message_count, total);
+        let of_channel = &statistics.channel_message_counts;
+        let others = of_channel.keys().filter(|id| !self.counts.contains_key(*id));
+        for channel in self.counts.keys().chain(others) {
+            // Some writers leave them out.
+            if let Some(found) = of_channel.get(channel).or((!of_channel.is_empty()).then_some(&0))
+            {
+                let expected = self.counts.get(channel).copied().unwrap_or_default();
+                number(*position, &format!("messages of channel {channel}"), *found, expected);
             }
         }
+        number(*position, "chunk_count", statistics.chunk_count.into(), chunks);
+        for (what, found, opcode) in [
+            ("attachment_count", statistics.attachment_count, op::ATTACHMENT),
+            ("metadata_count", statistics.metadata_count, op::METADATA),
+        ] {
+            let records = index.auxiliary.iter().filter(|record| record.opcode == opcode);
+            number(*position, what, found.into(), records.count() as u64);
+        }
+        if let Some((first, last)) = index.times {
+            number(*position, "message_start_time", statistics.message_start_time, first);
+            number(*position, "message_end_time", statistics.message_end_time, last);
+        }
+        differences
+    }
+
+    /// Differences of the indexes of attachments and metadata.
+    fn auxiliary_differences(&self, index: &FileIndex) -> Vec<Difference> {
+        let mut differences = Vec::new();
         for (position, (opcode, offset, length)) in &self.auxiliary {
             let is_there = |record: &RecordHeader| {
                 record.opcode == *opcode
@@ -221,11 +248,8 @@ impl Statements {
             };
             if !index.auxiliary.iter().any(is_there) {
                 let found = format!("index of a record of {length} bytes at byte {offset}");
-                differences.push((
-                    *position,
-                    found,
-                    "an attachment or metadata record there".into(),
-                ));
+                let expected = "an attachment or metadata record there".to_owned();
+                differences.push((*position, found, expected));
             }
         }
         differences

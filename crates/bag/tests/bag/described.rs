@@ -120,6 +120,7 @@ fn what_only_the_file_says_is_read_and_kept() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: a bag, its edited metadata, what is found")]
 fn metadata_that_a_user_edits_counts_and_is_a_finding() {
     let folder = tempfile::tempdir().unwrap();
     let said = [("offered_qos_profiles", QOS), ("topic_type_hash", HASH)];

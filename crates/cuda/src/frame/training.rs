@@ -116,6 +116,7 @@ impl Training {
     ///
     /// # Errors
     /// [`CudaError::Unsupported`], [`CudaError::Memory`], [`CudaError::Call`].
+    #[expect(clippy::too_many_lines, reason = "the buffers of a step, one after another")]
     pub fn new(
         device: Arc<dyn Device>,
         store: Arc<Store>,

@@ -162,6 +162,7 @@ impl Products {
 
     /// cuBLAS goes through matrices column by column, so it is asked for the transpose of the product:
     /// `result' = right' left'`.
+    #[expect(clippy::too_many_lines, reason = "one sequence of calls of cuBLASLt")]
     fn plan(&self, product: &Product) -> Result<Plan> {
         use sys::{
             cublasLtMatmulDescAttributes_t as Attribute,

@@ -284,6 +284,10 @@ impl Matrix<'_> {
 
 impl Layout {
     /// The places, and all matrices one behind the other, from the tensors of a checkpoint.
+    #[expect(
+        clippy::too_many_lines,
+        reason = "the matrices one after another, in the order of the kernels"
+    )]
     pub fn new(constants: &Constants, tensors: &BTreeMap<String, Weights>) -> (Self, Vec<f32>) {
         let mut all = Vec::new();
         let named = |[weight, bias]: [String; 2]| (&tensors[&weight], &tensors[&bias]);

@@ -112,45 +112,16 @@ pub(super) fn load(
     let bags = find_bags(paths)?;
     let bags = bags.iter().map(|path| BagReader::open(path)).collect::<Result<Vec<_>, _>>()?;
     let mut quantities = Quantities::of_bags(&bags)?;
-    let topics = bags.iter().flat_map(BagReader::topics).filter(|topic| topic.name == TRUTH_TOPIC);
-    let all = topics.map(|topic| topic.message_count).sum();
-    let progress = Mutex::new((0, progress));
-    let frame_done = || {
-        let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
-        let (done, show) = &mut *progress;
-        *done += 1;
-        show(*done, all);
-    };
     let budget = Budget { bytes: AtomicU64::new(0), limit: memory };
-    let contents: Vec<Contents> = bags
-        .par_iter()
-        .enumerate()
-        .map(|(number, bag)| read(bag, number, skip_streams, &budget, &frame_done))
-        .collect::<Result<_, _>>()?;
     let (mut partials, mut skipped) = (Vec::new(), Vec::new());
-    for Contents { streams, unusable } in contents {
+    for Contents { streams, unusable } in read_all(&bags, skip_streams, &budget, progress)? {
         partials.extend(streams);
         skipped.extend(unusable.into_values());
     }
     partials.sort_by(|PartialStream { stream: a, .. }, PartialStream { stream: b, .. }| {
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
-    let setup = usual_setup(&partials);
-    skipped.extend(partials.iter().filter_map(|partial| of_other_setup(&partial.stream, setup?)));
-    if let Some(first) = skipped.first()
-        && !skip_streams
-    {
-        return Err(DatasetError::Unusable(Box::new(first.clone())));
-    }
-    let is_skipped = |Stream { source, id, .. }: &Stream| {
-        skipped.iter().any(|other| other.stream == *id && other.path == *source)
-    };
-    partials.retain(|partial| !is_skipped(&partial.stream));
-    if partials.is_empty()
-        && let Some(first) = skipped.first()
-    {
-        return Err(DatasetError::Unusable(Box::new(first.clone())));
-    }
+    skip_unusable(&mut partials, &mut skipped, skip_streams)?;
     let mut gravity = Vec::with_capacity(partials.len());
     for PartialStream { stream, location, .. } in &mut partials {
         let stated = quantities.of(location.bag, &stream.source, stream.id);
@@ -179,6 +150,48 @@ pub(super) fn load(
     };
     let streams = streams.into_iter().enumerate().map(stored).zip(gravity).map(with_gravity);
     Ok(Loaded { streams: streams.collect(), skipped })
+}
+
+/// Reads all bags in parallel. `progress` is that of [`load`].
+fn read_all(
+    bags: &[BagReader],
+    skip_streams: bool,
+    budget: &Budget,
+    progress: &mut (dyn FnMut(u64, u64) + Send),
+) -> Result<Vec<Contents>, DatasetError> {
+    let topics = bags.iter().flat_map(BagReader::topics).filter(|topic| topic.name == TRUTH_TOPIC);
+    let all = topics.map(|topic| topic.message_count).sum();
+    let progress = Mutex::new((0, progress));
+    let frame_done = || {
+        let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+        let (done, show) = &mut *progress;
+        *done += 1;
+        show(*done, all);
+    };
+    bags.par_iter()
+        .enumerate()
+        .map(|(number, bag)| read(bag, number, skip_streams, budget, &frame_done))
+        .collect()
+}
+
+/// Moves the streams that cannot be used with the others to `skipped`. They are refused without `skip_streams`, or if none is
+/// left.
+fn skip_unusable(
+    streams: &mut Vec<PartialStream>,
+    skipped: &mut Vec<UnusableFrame>,
+    skip_streams: bool,
+) -> Result<(), DatasetError> {
+    let setup = usual_setup(streams);
+    skipped.extend(streams.iter().filter_map(|partial| of_other_setup(&partial.stream, setup?)));
+    let Some(first) = skipped.first() else { return Ok(()) };
+    let is_skipped = |Stream { source, id, .. }: &Stream| {
+        skipped.iter().any(|other| other.stream == *id && other.path == *source)
+    };
+    streams.retain(|partial| !is_skipped(&partial.stream));
+    if !skip_streams || streams.is_empty() {
+        return Err(DatasetError::Unusable(Box::new(first.clone())));
+    }
+    Ok(())
 }
 
 /// The interval and the domain of most streams; of the first among equals.

@@ -67,26 +67,14 @@ impl Calibration {
         request: CalibrationRequest,
         progress: &dyn Progress,
     ) -> Result<Self, EvaluationError> {
-        let CalibrationRequest { streams, stiffness, horizon, starts, threads } = request;
+        let CalibrationRequest { horizon, starts, threads, .. } = request;
         for (field, found) in [("horizon", horizon), ("starts", starts)] {
             if found == 0 {
                 return Err(EvaluationError::request(field, found, "at least 1"));
             }
         }
-        let settings = Settings::errors_only(horizon, starts);
         let Selection { streams, context, mut remarks, .. } =
-            Selection::new(settings, &[surrogate.description()], streams, stiffness)?;
-        let all = streams.len();
-        let has_rollouts = |stream: &Trajectory| !context.starts(stream.frames).is_empty();
-        let streams: Vec<Trajectory> = streams.into_iter().filter(has_rollouts).collect();
-        if streams.len() < all {
-            let short = all - streams.len();
-            remarks.push(format!("{short} of {all} streams are too short for a rollout: left out"));
-        }
-        if streams.len() < MIN_STREAMS {
-            let expected = "at least 10 that the model was not trained on, with room for a rollout";
-            return Err(EvaluationError::request("streams", streams.len(), expected));
-        }
+            streams_with_rollouts(surrogate, request)?;
         let horizons: Vec<u32> = horizons(horizon);
         let threads =
             threads.map_or_else(|| rollout_threads([surrogate], &streams), NonZeroUsize::get);
@@ -137,6 +125,28 @@ impl Calibration {
         };
         Ok(Self { model, reliability, remarks })
     }
+}
+
+/// The streams that the model was not trained on, if there are enough with room for a rollout.
+fn streams_with_rollouts(
+    surrogate: &Surrogate,
+    request: CalibrationRequest,
+) -> Result<Selection, EvaluationError> {
+    let settings = Settings::errors_only(request.horizon, request.starts);
+    let CalibrationRequest { streams, stiffness, .. } = request;
+    let mut selection = Selection::new(settings, &[surrogate.description()], streams, stiffness)?;
+    let Selection { streams, context, remarks, .. } = &mut selection;
+    let all = streams.len();
+    streams.retain(|stream| !context.starts(stream.frames).is_empty());
+    if streams.len() < all {
+        let short = all - streams.len();
+        remarks.push(format!("{short} of {all} streams are too short for a rollout: left out"));
+    }
+    if streams.len() < MIN_STREAMS {
+        let expected = "at least 10 that the model was not trained on, with room for a rollout";
+        return Err(EvaluationError::request("streams", streams.len(), expected));
+    }
+    Ok(selection)
 }
 
 /// Samples of the rollouts from `starts`.

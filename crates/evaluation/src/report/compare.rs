@@ -38,6 +38,27 @@ struct Row<'a> {
     number: usize,
 }
 
+/// Checks that the errors of two reports are comparable.
+fn same_data(
+    (first_name, first): (&str, &Report),
+    (second_name, second): (&str, &Report),
+) -> Result<(), ReportError> {
+    let fields = [
+        ("data_digest", first.data_digest.clone(), second.data_digest.clone()),
+        ("dt", first.dt.to_string(), second.dt.to_string()),
+    ];
+    match fields.into_iter().find(|(_, first, second)| first != second) {
+        None => Ok(()),
+        Some((field, first, second)) => Err(ReportError::Different {
+            field,
+            first,
+            first_name: first_name.to_owned(),
+            second,
+            second_name: second_name.to_owned(),
+        }),
+    }
+}
+
 impl Comparison {
     /// Compares reports with distinct names.
     ///
@@ -52,19 +73,7 @@ impl Comparison {
             return Err(ReportError::Few { found: 1 });
         }
         for (name, other) in others {
-            let fields = [
-                ("data_digest", first.data_digest.clone(), other.data_digest.clone()),
-                ("dt", first.dt.to_string(), other.dt.to_string()),
-            ];
-            if let Some((field, first, second)) = fields.into_iter().find(|(_, a, b)| a != b) {
-                return Err(ReportError::Different {
-                    field,
-                    first,
-                    first_name: first_name.clone(),
-                    second,
-                    second_name: name.clone(),
-                });
-            }
+            same_data((first_name, first), (name, other))?;
         }
         let horizon = reports.iter().map(|(_, report)| report.horizon).min().unwrap_or(0);
         let mut notes = Vec::new();

@@ -156,6 +156,7 @@ impl ParticleModel {
     }
 
     /// Observes `frame` and writes the predicted positions and velocities to `next`.
+    #[expect(clippy::too_many_lines, reason = "the borrows of one frame, gathered for its stages")]
     pub(super) fn step(
         &self,
         pool: &mut ThreadPool,

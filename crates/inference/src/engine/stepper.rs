@@ -109,8 +109,7 @@ impl Stepper {
         }
     }
 
-    /// Number of streams that are best stepped at once: by [`Stepper::for_each`], one per thread, or, on a device, by
-    /// [`Stepper::step_all`].
+    /// Number of streams that are best stepped at once: one per thread, or as many as a device takes.
     pub fn streams(&self) -> usize {
         match &*self.network {
             Network::Device(device) => device.streams(),
@@ -118,8 +117,12 @@ impl Stepper {
         }
     }
 
-    /// Whether a device predicts: then streams are best stepped by [`Stepper::step_all`].
-    pub fn is_on_device(&self) -> bool {
+    /// Threads that step one stream each; `None` on a device, which steps all streams at once.
+    pub fn threads(&self) -> Option<usize> {
+        (!self.is_on_device()).then(|| self.pool.threads())
+    }
+
+    fn is_on_device(&self) -> bool {
         matches!(&*self.network, Network::Device(_))
     }
 
@@ -182,6 +185,41 @@ impl Stepper {
         self.for_each(requests, |stepper, StepRequest { hidden, frame, next }| {
             stepper.step_into(hidden, *frame, next);
         });
+    }
+
+    /// Runs a sequence of steps for each item, such as one stream: `next_step` gives the item's next step, which may depend
+    /// on the predictions before it, or `None` at its end, and is not called again after that. A device takes one step of
+    /// every item at a time; otherwise the items are run to their ends as by [`Stepper::for_each`].
+    ///
+    /// # Panics
+    /// As [`Stepper::step_into`], and if `next_step` does.
+    pub fn run_all<T: Send + Sync>(
+        &mut self,
+        items: &mut [T],
+        next_step: impl for<'a> Fn(&'a mut T) -> Option<StepRequest<'a>> + Sync,
+    ) {
+        if !self.is_on_device() {
+            return self.for_each(items, |stepper, item| {
+                while let Some(StepRequest { hidden, frame, next }) = next_step(item) {
+                    stepper.step_into(hidden, frame, next);
+                }
+            });
+        }
+        let mut ended = vec![false; items.len()];
+        loop {
+            let running = items.iter_mut().zip(&mut ended).filter(|(_, ended)| !**ended);
+            let mut requests: Vec<_> = running
+                .filter_map(|(item, ended)| {
+                    let request = next_step(item);
+                    *ended = request.is_none();
+                    request
+                })
+                .collect();
+            if requests.is_empty() {
+                return;
+            }
+            self.step_on_device(&mut requests);
+        }
     }
 
     fn step_on_device(&mut self, requests: &mut [StepRequest<'_>]) {

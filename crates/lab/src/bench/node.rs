@@ -93,6 +93,7 @@ pub struct Timing {
 ///
 /// # Errors
 /// [`BenchError`].
+#[expect(clippy::too_many_lines, reason = "one measurement from start to end")]
 pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> {
     let surrogate = Surrogate::load(checkpoint, plan.threads)?;
     let frame = particles::frame_for(surrogate.description(), plan.particles);

@@ -84,6 +84,7 @@ struct Ends {
 ///
 /// # Errors
 /// [`TransportError`] when a middleware cannot be opened or fails.
+#[expect(clippy::too_many_lines, reason = "one measurement from start to end")]
 pub fn time(
     transport: TransportKind,
     particles: usize,

@@ -91,6 +91,7 @@ impl StudyJob {
         Ok(DataTask { request, output: Folders::new(&self.output).data(name), device: self.device })
     }
 
+    #[expect(clippy::too_many_lines, reason = "the tasks of a study, one kind after another")]
     pub(super) fn tasks(&self, per_task: u32) -> anyhow::Result<Vec<Task<Work>>> {
         let Self { comparison, study, .. } = self;
         let folders = Folders::new(&self.output);

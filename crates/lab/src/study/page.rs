@@ -76,6 +76,7 @@ impl StudyReport {
     }
 
     /// Adds the learning curves of a data set.
+    #[expect(clippy::too_many_lines, reason = "the parts of one plot, one after another")]
     pub fn curves(&mut self, set: &str, study: &StudyConfig, curves: &[Curve]) {
         let dense = &study.dense;
         let about = format!(

@@ -435,6 +435,7 @@ fn weights_for_several_stiffnesses_take_the_steps_of_the_cpu() {
 }
 
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
+#[expect(clippy::too_many_lines, reason = "one story: steps, a stop, further steps")]
 fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
     let (streams, description) = (streams(), description(config));
     let unroll = config.unroll[0].frames;

@@ -132,6 +132,7 @@ pub(super) fn relative_error(found: &[f32], expected: &[f32]) -> f64 {
 }
 
 /// Steps on the CPU and in the emulator, from the same weights on the same windows.
+#[expect(clippy::too_many_lines, reason = "one step, compared quantity by quantity")]
 fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     let streams = streams();
     let mut description = description(config);
@@ -291,6 +292,7 @@ fn apart(a: &[[f32; 2]], b: &[[f32; 2]]) -> f32 {
 
 /// Runs of both devices from the same seed: steps, a stop, and further steps from the state that was kept.
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: steps, a stop, further steps")]
 fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let config = config(Core::MinLstm);
     let (streams, description) = (streams(), description(&config));

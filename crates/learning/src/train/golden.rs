@@ -262,6 +262,7 @@ fn losses_and_gradients_equal_those_of_pytorch() {
 /// Loss, gradients and ten steps of Adam by the kernels for GPUs, in the emulator.
 #[cfg(feature = "cuda")]
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: loss, gradients, ten steps")]
 fn kernels_for_gpus_take_the_steps_of_pytorch() {
     use std::sync::Arc;
 

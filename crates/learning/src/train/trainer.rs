@@ -266,6 +266,7 @@ impl Trainer<'_> {
     }
 
     /// Validates the weights after an epoch, and saves the run and, if it is the best so far, the checkpoint.
+    #[expect(clippy::too_many_lines, reason = "what follows an epoch, in order")]
     fn validate_and_save(&mut self, means: &EpochMeans) -> Result<(), TrainError> {
         let Self { config, dataset, run, state, monitor, learner, initial, .. } = self;
         let begun = monitor.elapsed();

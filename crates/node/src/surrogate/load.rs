@@ -1,23 +1,6 @@
-//! What a running node has to do beside what it can do, and warnings about it.
+//! What a running node has to do beside what it can do.
 
-use std::{num::NonZeroUsize, thread, time::Duration};
-
-use eddy_transport::Link;
-
-/// Without a frame for this long after the start, a warning is logged.
-const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Minimum interval between warnings about dropped frames.
-const DROP_WARNING_INTERVAL: Duration = Duration::from_secs(10);
-
-/// Warnings to the user, limited in number.
-#[derive(Default)]
-pub(super) struct Warnings {
-    silence: bool,
-    /// When the node began to wait for frames.
-    pub(super) waiting_since: Duration,
-    /// Time of the last warning about dropped frames, and their number then.
-    dropped: Option<(Duration, u64)>,
-}
+use std::time::Duration;
 
 /// What the node has had to do.
 #[derive(Clone, Copy, Debug, Default)]
@@ -42,30 +25,9 @@ pub(super) struct Load {
     pub(super) threads: Option<usize>,
 }
 
-impl Warnings {
-    pub(super) fn check(&mut self, now: Duration, input: &Link, load: &Load) {
-        let Load { received, dropped, .. } = *load;
-        let waiting = now.saturating_sub(self.waiting_since);
-        if received == 0 && waiting > SILENCE_TIMEOUT && !self.silence {
-            self.silence = true;
-            tracing::warn!(
-                "no frames received for {} s on {input}; check topic and transport with `eddy topic list --from zenoh,shm,dds --wait 5`",
-                SILENCE_TIMEOUT.as_secs()
-            );
-        }
-        let (warned, before) = self.dropped.unwrap_or_default();
-        let is_due = self.dropped.is_none() || now - warned > DROP_WARNING_INTERVAL;
-        if dropped > before && is_due {
-            let processors = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-            tracing::warn!("dropped {} frames: {}", dropped - before, load.advice(processors));
-            self.dropped = Some((now, dropped));
-        }
-    }
-}
-
 impl Load {
     /// Why frames were dropped, with what was measured, and what would help on a machine with this number of processors.
-    fn advice(&self, processors: usize) -> String {
+    pub(super) fn advice(&self, processors: usize) -> String {
         let &Self { horizon, streams, threads, .. } = self;
         let milliseconds = |time: Duration, frames: u64| {
             (frames > 0).then(|| 1e3 * time.as_secs_f64() / frames as f64)

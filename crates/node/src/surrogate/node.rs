@@ -2,17 +2,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, atomic::AtomicBool},
     time::Duration,
 };
 
 use super::{
     Counters, InvalidSettings, LifecycleState, LifecycleTransition, NodeSettings, Prediction,
     Rejected, Rejection, RejectionLog,
-    step::{FAR, HorizonBuffers, Step, interval},
+    steps::{BatchContext, HorizonBuffers, StreamSteps, interval},
     stream::{Order, StreamState, expected_error},
 };
 use eddy_frames::{Frame, FrameView};
@@ -80,6 +77,37 @@ struct Scheduled {
     stream: u64,
     /// Missing frames for the model to fill in.
     gap: u64,
+}
+
+/// The steps of the streams of a batch, in its order.
+fn prepare<'a>(
+    batch: &[Scheduled],
+    arrivals: &'a [Arrival],
+    streams: &'a mut BTreeMap<u64, StreamState>,
+    buffers: &'a mut [HorizonBuffers],
+    context: BatchContext<'a>,
+) -> [Option<StreamSteps<'a>>; MAX_BATCH] {
+    let steps_of = |scheduled: &Scheduled, stream, buffers| {
+        let (arrived, payload) = &arrivals[scheduled.index];
+        let frame = payload.view()?;
+        Some(StreamSteps::new(stream, buffers, frame, *arrived, scheduled.gap, context))
+    };
+    let mut steps = [const { None }; MAX_BATCH];
+    let mut buffers = buffers.iter_mut();
+    // One stream is looked up; several are found by iteration, which gives mutable references to all of them.
+    if let [one] = batch {
+        let found = streams.get_mut(&one.stream).zip(buffers.next());
+        steps[0] = found.and_then(|(stream, buffers)| steps_of(one, stream, buffers));
+        return steps;
+    }
+    for (id, stream) in streams {
+        let number = batch.iter().position(|scheduled| scheduled.stream == *id);
+        let found = number.and_then(|number| Some((number, buffers.next()?)));
+        if let Some((number, buffers)) = found {
+            steps[number] = steps_of(&batch[number], stream, buffers);
+        }
+    }
+    steps
 }
 
 /// When the next frame of a free run is due after one that was due at `due`, and the number of frames skipped before it.
@@ -270,7 +298,7 @@ impl SurrogateNode {
 
     /// Threads that step one stream each; `None` on a GPU, which steps all at once.
     pub(super) fn threads(&self) -> Option<usize> {
-        (!self.stepper.is_on_device()).then(|| self.stepper.streams())
+        self.stepper.threads()
     }
 
     /// Observes frames in order, if the node is active. Frames of different streams are stepped in parallel, with bit-identical predictions.
@@ -465,81 +493,30 @@ impl SurrogateNode {
         batch: &mut Vec<Scheduled>,
         output: &mut OutputCallback<'_>,
     ) {
-        let Self { surrogate, stepper, settings, streams, buffers, simulated, uses, stop, .. } =
-            self;
-        let (stop, error_model): (&AtomicBool, _) = (stop, surrogate.error_model());
-        buffers.resize_with(batch.len().max(buffers.len()), HorizonBuffers::default);
-        let mut steps = [const { None }; MAX_BATCH];
-        let mut prepare = |number: usize, stream, buffers| {
-            let Scheduled { index, gap, .. } = batch[number];
-            let (arrived, payload) = &arrivals[index];
-            let Some(frame) = payload.view() else { return };
-            let (arrived, stepped, tracking, finite) = (*arrived, 0, false, true);
-            let now = simulated.unwrap_or(arrived);
-            steps[number] = Some(Step {
-                stream,
-                frame,
-                arrived,
-                now,
-                gap,
-                buffers,
-                error_model,
-                stop,
-                stepped,
-                tracking,
-                finite,
-            });
+        if batch.is_empty() {
+            return;
+        }
+        let Self { surrogate, stepper, settings, streams, buffers, uses, .. } = self;
+        let context = BatchContext {
+            settings,
+            warm_up: u64::from(surrogate.description().warm_up),
+            error_model: surrogate.error_model(),
+            simulated: self.simulated,
+            stop: &self.stop,
         };
-        // One stream is looked up; several are found by iteration, which gives mutable references to all of them.
-        match &batch[..] {
-            [] => return,
-            [one] => {
-                if let Some(stream) = streams.get_mut(&one.stream) {
-                    prepare(0, stream, &mut buffers[0]);
-                }
-            }
-            several => {
-                let mut buffers = buffers.iter_mut();
-                for (id, stream) in streams.iter_mut() {
-                    let number = several.iter().position(|scheduled| scheduled.stream == *id);
-                    let buffers = number.and_then(|_| buffers.next());
-                    if let (Some(number), Some(buffers)) = (number, buffers) {
-                        prepare(number, stream, buffers);
-                    }
-                }
-            }
-        }
-        let warm_up = u64::from(surrogate.description().warm_up);
-        if stepper.is_on_device() {
-            loop {
-                let next = |step| Step::next(step, settings, warm_up);
-                let mut requests: Vec<_> = steps.iter_mut().flatten().filter_map(next).collect();
-                if requests.is_empty() {
-                    break;
-                }
-                stepper.step_all(&mut requests);
-            }
-            steps.iter_mut().flatten().for_each(|step| step.finish(settings));
-        } else {
-            stepper.for_each(&mut steps[..batch.len()], |stepper, step| {
-                if let Some(step) = step {
-                    step.run(stepper, settings, warm_up);
-                }
-            });
-        }
+        buffers.resize_with(batch.len().max(buffers.len()), HorizonBuffers::default);
+        let mut steps = prepare(batch, arrivals, streams, buffers, context);
+        stepper.run_all(&mut steps[..batch.len()], |steps| steps.as_mut()?.next());
         let mut diverged = [const { None }; MAX_BATCH];
-        for (step, diverged) in steps.iter_mut().flatten().zip(&mut diverged) {
+        for (steps, diverged) in steps.iter_mut().flatten().zip(&mut diverged) {
             *uses += 1;
-            step.stream.used = *uses;
-            if !step.finite {
-                *diverged = Some(step.frame.stream);
-            } else if step.tracking {
-                for (number, prediction) in step.predictions(settings).enumerate() {
-                    if number >= FAR && stop.load(Ordering::Relaxed) {
-                        break;
-                    }
-                    output(step.arrived, Ok(prediction));
-                }
+            steps.stream.used = *uses;
+            if steps.has_diverged() {
+                *diverged = Some(steps.frame.stream);
+                continue;
+            }
+            for prediction in steps.predictions() {
+                output(steps.arrived, Ok(prediction));
             }
         }
         batch.clear();

@@ -205,6 +205,7 @@ fn frames_that_arrive_together_give_the_same_predictions_as_one_by_one() {
 }
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "one story: streams, a flood, what each has received")]
 fn a_flooding_stream_does_not_affect_the_others() {
     const ROUNDS: u64 = 30;
     let transports = Transports::new(TransportOptions::new("flood"));

@@ -88,6 +88,35 @@ fn service_name(topic: &str) -> Option<&str> {
     topic.strip_prefix("rq")?.strip_suffix("Request")
 }
 
+/// Where requests to a service go, and where its responses come from.
+type Endpoints = (DataWriter<Body, PassThrough>, SimpleDataReader<Vec<u8>, PassThrough>);
+
+/// Opens the endpoints of a client of a service.
+fn endpoints(
+    node: &DdsNode,
+    link: &Link,
+    service: &str,
+    type_name: &str,
+) -> Result<Endpoints, TransportError> {
+    let failed = |error: &dyn std::fmt::Display| middleware(link, "call a service", error);
+    let [request_type, response_type] = service_types(type_name);
+    let topic = |name: String, kind: String| -> Result<Topic, TransportError> {
+        let topic = node.participant.create_topic(name, kind, &qos::topic(), TopicKind::NoKey);
+        topic.map_err(|error| failed(&error))
+    };
+    let responses = topic(format!("rr{service}Reply"), response_type)?;
+    let responses = node
+        .subscriber
+        .create_simple_datareader_no_key(&responses, Some(qos::reliable_reader()))
+        .map_err(|error| failed(&error))?;
+    let requests = topic(format!("rq{service}Request"), request_type)?;
+    let requests = node
+        .publisher
+        .create_datawriter_no_key(&requests, Some(PublisherQos::Reliable.policies(None)))
+        .map_err(|error| failed(&error))?;
+    Ok((requests, responses))
+}
+
 /// One request to a service with this name and type; `None` if nobody answers within `timeout`. `link` is for error
 /// messages.
 pub(super) fn call(
@@ -99,21 +128,7 @@ pub(super) fn call(
     timeout: Duration,
 ) -> Result<Option<Vec<u8>>, TransportError> {
     let failed = |error: &dyn std::fmt::Display| middleware(link, "call a service", error);
-    let [request_type, response_type] = service_types(type_name);
-    let topic = |name: String, kind: String| -> Result<Topic, TransportError> {
-        let topic = node.participant.create_topic(name, kind, &qos::topic(), TopicKind::NoKey);
-        topic.map_err(|error| failed(&error))
-    };
-    let responses = topic(format!("rr{service}Reply"), response_type)?;
-    let responses: SimpleDataReader<Vec<u8>, PassThrough> = node
-        .subscriber
-        .create_simple_datareader_no_key(&responses, Some(qos::reliable_reader()))
-        .map_err(|error| failed(&error))?;
-    let requests = topic(format!("rq{service}Request"), request_type)?;
-    let requests: DataWriter<Body, PassThrough> = node
-        .publisher
-        .create_datawriter_no_key(&requests, Some(PublisherQos::Reliable.policies(None)))
-        .map_err(|error| failed(&error))?;
+    let (requests, responses) = endpoints(node, link, service, type_name)?;
     // A service drops requests of clients that it does not know yet, and responses to these.
     let is_known =
         || node.graph.matched(requests.guid()) > 0 && node.graph.has_writer(responses.guid());

@@ -276,6 +276,24 @@ fn incompatible(requested: &QosPolicies, offered: &QosPolicies) -> &'static str 
     }
 }
 
+/// Says in the words of ROS, which people search for, that a subscriber does not accept what a local publisher offers.
+fn warn_of_reader(link: &Link, policy: &str) {
+    let remedy = match policy {
+        "RELIABILITY" => " (publish with --reliability block, or subscribe with best effort)",
+        _ => "",
+    };
+    tracing::warn!(
+        "{link}: new subscription discovered, requesting incompatible QoS; no messages will be sent to it; incompatible policy: {policy}{remedy}"
+    );
+}
+
+/// Says in the words of ROS that a publisher does not offer what a local subscriber requests.
+fn warn_of_writer(link: &Link, policy: &str) {
+    tracing::warn!(
+        "{link}: new publisher discovered, offering incompatible QoS; no messages will be received from it; incompatible policy: {policy}"
+    );
+}
+
 impl State {
     /// Wakes the subscribers.
     fn wake(&mut self) {
@@ -343,26 +361,14 @@ impl State {
                 local_writer, requested_qos, offered_qos, ..
             } => {
                 if let Some(link) = self.links.get(&local_writer) {
-                    let policy = incompatible(&requested_qos, &offered_qos);
-                    // In the words of ROS, which people search for.
-                    tracing::warn!(
-                        "{link}: new subscription discovered, requesting incompatible QoS; no messages will be sent to it; incompatible policy: {policy}{}",
-                        if policy == "RELIABILITY" {
-                            " (publish with --reliability block, or subscribe with best effort)"
-                        } else {
-                            ""
-                        }
-                    );
+                    warn_of_reader(link, incompatible(&requested_qos, &offered_qos));
                 }
             }
             Event::RemoteWriterQosIncompatible {
                 local_reader, requested_qos, offered_qos, ..
             } => {
                 if let Some(link) = self.links.get(&local_reader) {
-                    let policy = incompatible(&requested_qos, &offered_qos);
-                    tracing::warn!(
-                        "{link}: new publisher discovered, offering incompatible QoS; no messages will be received from it; incompatible policy: {policy}"
-                    );
+                    warn_of_writer(link, incompatible(&requested_qos, &offered_qos));
                 }
             }
             Event::InconsistentTopic { previous_topic_data, discovered_topic_data, .. } => {

@@ -148,6 +148,7 @@ impl Training {
         }
     }
 
+    #[expect(clippy::too_many_lines, reason = "one launch after another, by kind of core")]
     pub(super) fn core_backward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
         let (batch, rows, wide) =
             (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());

@@ -157,6 +157,7 @@ fn most_nodes(particles: usize, extent: [f32; AXES]) -> [usize; MAX_LEVELS] {
 }
 
 impl Memory {
+    #[expect(clippy::too_many_lines, reason = "the buffers of a step, one after another")]
     pub(super) fn new(
         device: &Arc<dyn Device>,
         store: &Store,

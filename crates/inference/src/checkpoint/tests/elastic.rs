@@ -3,6 +3,7 @@
 use super::*;
 
 #[test]
+#[expect(clippy::too_many_lines, reason = "a table of cases")]
 fn elastic_constants_out_of_range_are_rejected_and_others_are_part_of_the_digest() {
     let with = |change: &dyn Fn(&mut Description)| {
         let mut all = checkpoint();

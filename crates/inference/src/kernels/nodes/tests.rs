@@ -84,6 +84,7 @@ proptest! {
     }
 }
 
+#[expect(clippy::too_many_lines, reason = "one property after another of the same nodes")]
 fn check(
     nodes: &Nodes,
     position: &[[f32; 2]],
