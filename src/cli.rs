@@ -23,7 +23,7 @@ use regex::Regex;
 use eddy_bag::Compression;
 use eddy_lab::commands::{BenchArgs, StudyArgs};
 use eddy_learning::{
-    model::{Architecture, Core, DeviceKind, Precision},
+    model::{Architecture, Core, DeviceKind, GpuOptions, Precision},
     train::Recipe,
 };
 use eddy_node::surrogate::PredictOptions;
@@ -444,11 +444,11 @@ pub struct TrainArgs {
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
-    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    #[arg(long, value_enum, default_value_t = Precision::default())]
     pub precision: Precision,
     /// NVIDIA GPUs that train together, from that of --device on, each on its part of every batch: windows.batch must be a
     /// multiple. Needs libnccl.
-    #[arg(long, value_name = "N", default_value = "1")]
+    #[arg(long, value_name = "N", default_value_t = GpuOptions::default().count)]
     pub gpus: NonZeroUsize,
 }
 

@@ -11,7 +11,7 @@ use eddy_evaluation::{
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Checkpoint, Description};
 use eddy_learning::{
-    model::{Architecture, GpuOptions},
+    model::{Architecture, DeviceKind, GpuOptions},
     train::{
         Epoch, LAST_FOLDER, Machine, Outcome, Run, TrainConfig, TrainError, check_output,
         data_warnings, test_skill, train,
@@ -45,34 +45,19 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
     let config = settings(&args, start.as_ref())?;
     output::on_disk(&args.output)?;
     let runs = runs(&args, &config)?;
-    let device = args.device.resolve(config.runs_on_gpus());
-    let mut rooms = Vec::new();
-    for (_, output) in &runs {
-        match check_output(output, args.resume) {
-            Err(TrainError::Exists { .. }) if args.force => {
-                rooms.push(Output::at(output, OutputKind::Checkpoint, true, &args.data)?);
-            }
-            outcome => outcome?,
-        }
-    }
-    device.check()?;
-    ensure_usage!(
-        args.gpus.get() == 1 || device.is_cuda(),
-        "--gpus: found {} with --device {}, expected --device cuda",
-        args.gpus,
-        device.name()
-    );
+    let replaced = outputs(&args, &runs)?;
+    let device = device(&args, &config)?;
     let dataset = load(&args, quiet)?;
     let warnings = data_warnings(&config, &dataset, start.as_ref());
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
     if !quiet {
         introduce(&config, &dataset);
     }
-    let mut outcomes = Vec::new();
-    let mut failure = None;
     let progress = TerminalProgress::new(quiet, interrupt);
     // Measured once for all runs: memory that one frees stays with this process.
     let memory = available_memory();
+    let mut outcomes = Vec::new();
+    let mut ended = Ok(());
     for (config, output) in &runs {
         let run = Run {
             device,
@@ -85,25 +70,11 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
             progress: &progress,
             on_epoch: &|_| (),
         };
-        if !quiet && runs.len() > 1 {
-            println!("seed {}", config.seed);
+        match train_seed(&args, quiet, config, &dataset, &run) {
+            Ok(outcome) => outcomes.push((config.seed, outcome)),
+            Err(error) => ended = Err(error),
         }
-        let outcome = match train(config, &dataset, &run) {
-            Ok(outcome) => outcome,
-            Err(error) => {
-                failure = Some(error);
-                break;
-            }
-        };
-        if !quiet {
-            summarize(&args, config, &dataset, output, &outcome)?;
-        }
-        if outcome.best.is_none() {
-            bail!("{}: interrupted before the first epoch ended", output.display());
-        }
-        let interrupted = outcome.interrupted;
-        outcomes.push((config.seed, outcome));
-        if interrupted {
+        if ended.is_err() || outcomes.last().is_some_and(|(_, outcome)| outcome.interrupted) {
             break;
         }
     }
@@ -111,15 +82,62 @@ pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resul
         let table = comparison(&outcomes, config.validation.horizon);
         println!("{}", table.framed(terminal::columns()));
     }
-    let Some(failure) = failure else {
-        rooms.into_iter().for_each(Output::replaced);
-        return Ok(());
+    ended?;
+    replaced.into_iter().for_each(Output::replaced);
+    Ok(())
+}
+
+/// Makes room for the output of each run; with `--force`, returns those that are replaced.
+fn outputs(args: &TrainArgs, runs: &[(TrainConfig, PathBuf)]) -> anyhow::Result<Vec<Output>> {
+    let mut replaced = Vec::new();
+    for (_, output) in runs {
+        match check_output(output, args.resume) {
+            Err(TrainError::Exists { .. }) if args.force => {
+                replaced.push(Output::at(output, OutputKind::Checkpoint, true, &args.data)?);
+            }
+            outcome => outcome?,
+        }
+    }
+    Ok(replaced)
+}
+
+/// The device, which is there.
+fn device(args: &TrainArgs, config: &TrainConfig) -> anyhow::Result<DeviceKind> {
+    let device = args.device.resolve(config.runs_on_gpus());
+    device.check()?;
+    ensure_usage!(
+        args.gpus.get() == 1 || device.is_cuda(),
+        "--gpus: found {} with --device {}, expected --device cuda",
+        args.gpus,
+        device.name()
+    );
+    Ok(device)
+}
+
+/// The run of a seed, with its result on the terminal.
+fn train_seed(
+    args: &TrainArgs,
+    quiet: bool,
+    config: &TrainConfig,
+    dataset: &Dataset,
+    run: &Run,
+) -> anyhow::Result<Outcome> {
+    let several = args.seed.len() > 1;
+    if !quiet && several {
+        println!("seed {}", config.seed);
+    }
+    let outcome = train(config, dataset, run);
+    let outcome = match several {
+        true => outcome.with_context(|| format!("seed {}", config.seed))?,
+        false => outcome?,
     };
-    let error = anyhow::Error::new(failure);
-    Err(match runs.as_slice() {
-        [_] => error,
-        _ => error.context(format!("seed {}", runs[outcomes.len()].0.seed)),
-    })
+    if !quiet {
+        summarize(args, config, dataset, run.output, &outcome)?;
+    }
+    if outcome.best.is_none() {
+        bail!("{}: interrupted before the first epoch ended", run.output.display());
+    }
+    Ok(outcome)
 }
 
 /// The command line as checkpoints record it: without the path of the program and without the words that say where the checkpoint goes.

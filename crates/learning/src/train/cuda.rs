@@ -165,7 +165,7 @@ impl Learner {
                     .transpose()?;
                 batches.push(batch(draws, &correction, shares, masks.random(), own));
             }
-            drawn.push(draws);
+            drawn.push((rate, draws));
         }
         // A thread for each GPU: they wait for each other within a step, and so would for one that has failed.
         let devices: Vec<_> = self.replicas.iter().map(|replica| replica.device.clone()).collect();
@@ -191,7 +191,7 @@ impl Learner {
         })?;
         // All have the same outcomes: those of the whole batch.
         let outcomes = outcomes.into_iter().next().unwrap_or_default().into_iter().zip(drawn);
-        Ok(outcomes.map(|(outcome, draws)| step(outcome, &draws, sampler)).collect())
+        Ok(outcomes.map(|(outcome, (rate, draws))| step(outcome, rate, &draws, sampler)).collect())
     }
 
     /// A model with the weights of the steps so far, averaged if the run keeps an average: those of `checkpoint`.
@@ -259,8 +259,9 @@ impl Replica {
 }
 
 /// The result of a step.
-fn step(outcome: Outcome, draws: &[Draw], sampler: &Sampler) -> Step {
+fn step(outcome: Outcome, learning_rate: f64, draws: &[Draw], sampler: &Sampler) -> Step {
     let Outcome { loss, gradient_norm, not_finite } = outcome;
     let windows = draws.iter().map(|draw| sampler.origin(draw)).collect();
-    Step { loss, gradient_norm: gradient_norm.into(), finite: !not_finite, windows }
+    let gradient_norm = gradient_norm.into();
+    Step { loss, learning_rate, gradient_norm, finite: !not_finite, windows }
 }

@@ -12,6 +12,7 @@ use super::{
     knots::ONE_SET,
     loss_weights::{CommonSums, LossScale},
     optimizer::Correction,
+    schedule::Batches,
     state::{RunState, network},
     steps::Learner,
     window::{Sampler, Window},
@@ -462,10 +463,11 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
             device: DeviceKind::Flex,
         };
         let mut losses = Vec::new();
-        for rates in [&[1e-3, 2e-3][..], &[3e-3]] {
+        for rates in [vec![1e-3, 2e-3], vec![3e-3]] {
+            let batches = Batches { first: 1, unroll, rates, left: 1 };
             let mut learner = open();
             learner.begin(&task, &state).unwrap();
-            let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
+            let steps = learner.steps(&task, &mut sampler, &batches, &mut state).unwrap();
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
             let tensors = state.tensors(&description);

@@ -10,6 +10,7 @@ use super::{
     gradients::GradientTask,
     knots::ONE_SET,
     loss_weights::{LossScale, TrivialSums},
+    schedule::Batches,
     state::RunState,
     steps::Learner,
     window::{Sampler, Window},
@@ -320,12 +321,13 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         state.unroll = unroll;
         let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
         let mut losses = Vec::new();
-        for rates in [&[1e-3, 2e-3][..], &[3e-3]] {
+        for rates in [vec![1e-3, 2e-3], vec![3e-3]] {
+            let batches = Batches { first: 1, unroll, rates, left: 1 };
             let mut learner = open();
             learner.begin(&task, &state).unwrap();
             // Its weights are those before the steps, and change with them.
             learner.surrogate(&checkpoint(&state)).unwrap();
-            let steps = learner.steps(&task, &mut sampler, 1, rates, &mut state).unwrap();
+            let steps = learner.steps(&task, &mut sampler, &batches, &mut state).unwrap();
             losses.extend(steps.into_iter().map(|step| (step.loss, step.windows)));
             learner.sync(&mut state).unwrap();
             let first = streams[0].cut(0..1).unwrap().frame(0);

@@ -34,12 +34,7 @@ pub(super) fn describe(
     let streams = splits.into_iter().flatten();
     let materials: BTreeSet<Material> =
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
-    let elastic = config.elastic(dataset.spacing, first.dt);
-    let is_unstable = |rule: &ElasticRule| !rule.is_stable(dataset.spacing, first.dt);
-    if !config.network.stiffness && elastic.as_ref().is_some_and(is_unstable) {
-        let expected = "a modulus whose pressure waves cross at most 256 elements a frame";
-        return Err(setting("elastic_modulus", config.elastic_modulus, expected));
-    }
+    let elastic = elastic_rule(config, dataset.spacing, first.dt)?;
     Ok(Description {
         format_version: FORMAT_VERSION,
         architecture: config.architecture,
@@ -71,6 +66,21 @@ pub(super) fn describe(
             ..TrainingSummary::default()
         },
     })
+}
+
+/// The rule `elastic`, if it is on and stable with the modulus of the settings; with those of the streams, each has its own.
+fn elastic_rule(
+    config: &TrainConfig,
+    spacing: f32,
+    dt: f32,
+) -> Result<Option<ElasticRule>, TrainError> {
+    let elastic = config.elastic(spacing, dt);
+    let is_unstable = |rule: &ElasticRule| !rule.is_stable(spacing, dt);
+    if !config.network.stiffness && elastic.as_ref().is_some_and(is_unstable) {
+        let expected = "a modulus whose pressure waves cross at most 256 elements a frame";
+        return Err(setting("elastic_modulus", config.elastic_modulus, expected));
+    }
+    Ok(elastic)
 }
 
 impl TrainConfig {

@@ -1,19 +1,20 @@
 //! Fits a network to recorded trajectories.
 //!
-//! 1. `config`: all settings, with defaults for each architecture. `description`: the network they describe. `data_warnings`: data that
-//!    does not fit them.
-//! 2. `window`: draws pieces of trajectories.
-//! 3. `loss_weights`: the weight of each particle's error.
-//! 4. `batch`: windows as tensors.
-//! 5. `loss`, `density`: the network observes the warm-up and predicts the rest from its own output; the loss of that.
-//! 6. `gradients`: the loss of a batch and its gradients, windows in parallel.
-//! 7. `optimizer`: Adam and the average of the weights, with `muon`: Muon; `knots`: weights for several stiffnesses. `steps`: the steps of a run, through burn or on a GPU (`cuda`).
-//! 8. `schedule`: learning rate and length of unroll over the run.
-//! 9. `validate`: free rollouts over streams that are not trained on.
-//! 10. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file. `movement`: whether the weights move.
-//! 11. `state`, `resume`, `record`, `moments`: the state of a run between batches, and how it is saved and resumed.
-//! 13. `trainer`: the training loop, which all of these serve.
-//! 14. `footprint`: the memory and disk space that a run needs, estimated before it starts.
+//! `training_loop` is the loop on one screen. What it calls, in this order:
+//!
+//! 1. `schedule`: learning rate and length of unroll of every batch.
+//! 2. `stage`: begins a stage of the unroll.
+//! 3. `steps`: the step of a batch, through burn or on a GPU (`cuda`).
+//!    - `window`: draws pieces of trajectories. `batch`: windows as tensors. `loss_weights`: the weight of each particle's error.
+//!    - `loss`, `density`: the network observes the warm-up and predicts the rest from its own output; the loss of that.
+//!    - `gradients`: the loss of a batch and its gradients, windows in parallel.
+//!    - `optimizer`: Adam and the average of the weights, with `muon`: Muon; `knots`: weights for several stiffnesses.
+//! 4. `validate`: free rollouts over streams that are not trained on. `movement`: whether the weights move.
+//! 5. `saver`: when a run is saved. `resume`, `record`, `moments`: how it is saved and resumed. `state`: what there is to save.
+//! 6. `monitor`, `events`: progress, `metrics.csv`, TensorBoard's event file.
+//!
+//! Before the loop: `config` has all settings, `recipes` their defaults, `description` the network they describe. `data_warnings`
+//! finds data that does not fit them, `footprint` estimates the memory and disk space that a run needs.
 //!
 //! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
 //! network for the paper's comparison of activations.
@@ -25,6 +26,9 @@ mod cuda;
 #[cfg(test)]
 #[cfg(feature = "cuda")]
 mod cuda_particle_tests;
+#[cfg(test)]
+#[cfg(feature = "cuda")]
+mod cuda_run_tests;
 #[cfg(test)]
 #[cfg(feature = "cuda")]
 mod cuda_tests;
@@ -49,11 +53,13 @@ mod optimizer;
 mod recipes;
 mod record;
 mod resume;
+mod saver;
 mod schedule;
+mod stage;
 mod state;
 pub mod step_benchmark;
 mod steps;
-mod trainer;
+mod training_loop;
 mod validate;
 mod window;
 
@@ -77,6 +83,8 @@ use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::fits,
 };
+use gradients::GradientTask;
+use loss_weights::LossScale;
 use steps::Learner;
 use window::Sampler;
 
@@ -96,8 +104,8 @@ pub struct Run<'a> {
     pub machine: Machine,
     /// The command line, for the checkpoint's summary.
     pub command: String,
-    /// Receives batches, and a line per epoch. It is asked before every batch whether to stop; the best and the last epoch
-    /// are then kept.
+    /// Receives batches, and a line per epoch. It is asked before every batch, on a GPU before every few, whether to stop; the
+    /// best and the last epoch are then kept.
     pub progress: &'a dyn Progress,
     /// Called after every epoch. It is saved then, but on a GPU at most every ten seconds.
     pub on_epoch: &'a (dyn Fn(&Epoch) + Sync),
@@ -206,7 +214,25 @@ fn train_with(
     let particles = dataset.train.iter().map(|stream| stream.material.len()).min().unwrap_or(0);
     footprint::check(config, &description, particles, run)?;
     let state = resume::begin(config, &mut description, run)?;
-    trainer::take_epochs(config, dataset, run, &description, state, dependencies)
+    let setup = Setup { config, dataset, run, description: &description };
+    training_loop::train_from(&setup, state, dependencies)
+}
+
+/// What does not change during a run.
+#[derive(Clone, Copy)]
+struct Setup<'a> {
+    config: &'a TrainConfig,
+    dataset: &'a Dataset,
+    run: &'a Run<'a>,
+    description: &'a Description,
+}
+
+impl<'a> Setup<'a> {
+    /// The gradients of batches with errors on this scale.
+    fn task(&self, scale: &'a LossScale<'a>) -> GradientTask<'a> {
+        let Self { config, description, run, .. } = *self;
+        GradientTask { config, description, scale, device: run.device }
+    }
 }
 
 /// Rejects streams that are too short for any stage of the run, or that its network could not predict, before it starts.

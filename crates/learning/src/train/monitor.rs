@@ -9,7 +9,9 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{TrainConfig, TrainError, events::EventFile, state::RunState, validate::Score};
+use super::{
+    TrainConfig, TrainError, events::EventFile, state::RunState, steps::Step, validate::Score,
+};
 use eddy_evaluation::skill_text;
 use eddy_frames::{clock, progress::Progress};
 use eddy_inference::checkpoint::TrainingSummary;
@@ -72,26 +74,12 @@ impl Epoch {
     }
 }
 
-/// The metrics of a batch.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct BatchMetrics {
-    /// Its epoch, from 1.
-    pub(super) epoch: u32,
-    /// Training windows since the start.
-    pub(super) samples: u64,
-    pub(super) loss: f32,
-    pub(super) learning_rate: f64,
-    /// Norm of the gradient by all tensors, before clipping.
-    pub(super) gradient_norm: f64,
-}
-
 /// Reports a run.
 pub(super) struct Monitor<'a> {
     progress: &'a dyn Progress,
     files: Files,
-    clock: &'a dyn Fn() -> Duration,
-    /// What the clock said at the beginning.
-    start: Duration,
+    /// The time since the run began.
+    elapsed: &'a dyn Fn() -> Duration,
     /// Start of the epoch, and training windows up to then.
     epoch_start: (Duration, u64),
     batches: u64,
@@ -141,25 +129,25 @@ impl Files {
 }
 
 impl<'a> Monitor<'a> {
-    /// Starts to report a run at `state`; its files go to the directory `output`. `clock` tells the time since any instant.
+    /// Starts to report a run at `state`; its files go to the directory `output`.
     pub(super) fn new(
         output: &Path,
         config: &TrainConfig,
         state: &RunState,
         progress: &'a dyn Progress,
-        clock: &'a dyn Fn() -> Duration,
+        elapsed: &'a dyn Fn() -> Duration,
     ) -> Result<Self, TrainError> {
         let files = Files::create(output, state)?;
         let batches = config.batches() as u64 * u64::from(config.epochs);
         let done = state.samples / config.windows.batch as u64;
         progress.begin(batches.saturating_sub(done), "batches");
         let epoch_start = (Duration::ZERO, state.samples);
-        Ok(Self { progress, files, clock, start: clock(), epoch_start, batches: 0 })
+        Ok(Self { progress, files, elapsed, epoch_start, batches: 0 })
     }
 
     /// Time since the run began.
     pub(super) fn elapsed(&self) -> Duration {
-        (self.clock)().saturating_sub(self.start)
+        (self.elapsed)()
     }
 
     /// Writes scalars to the event file.
@@ -173,9 +161,14 @@ impl<'a> Monitor<'a> {
         (samples - before) as f64 / (self.elapsed() - start).as_secs_f64().max(1e-9)
     }
 
-    /// Reports a batch.
-    pub(super) fn batch(&mut self, batch: &BatchMetrics) -> Result<(), TrainError> {
-        let BatchMetrics { epoch, samples, loss, learning_rate, gradient_norm } = *batch;
+    /// Reports the step of a batch of an epoch, counted from 1, and the training windows up to then.
+    pub(super) fn batch(
+        &mut self,
+        epoch: u32,
+        samples: u64,
+        step: &Step,
+    ) -> Result<(), TrainError> {
+        let Step { loss, learning_rate, gradient_norm, .. } = *step;
         let speed = self.speed(samples);
         self.progress.status(&format!("epoch {epoch}, loss {loss:.3e}, {speed:.0} samples/s"));
         self.progress.advance(1);
@@ -192,8 +185,12 @@ impl<'a> Monitor<'a> {
         Ok(())
     }
 
-    /// Reports an epoch.
-    pub(super) fn epoch(&mut self, epoch: &Epoch) -> Result<(), TrainError> {
+    /// Reports an epoch, and after the first one a warning, if there is one.
+    pub(super) fn epoch(
+        &mut self,
+        epoch: &Epoch,
+        warning: Option<String>,
+    ) -> Result<(), TrainError> {
         self.files.metrics.write(|file| file.write_all(epoch.row().as_bytes()))?;
         let scalars = [
             ("loss/training", epoch.training_loss),
@@ -211,6 +208,9 @@ impl<'a> Monitor<'a> {
         self.progress.message(&format!(
             "epoch {number:>3}  unroll {unroll:>2}  loss {training_loss:.3e}  validation {validation_loss:.4}  skill {first} {last}{star}"
         ));
+        if let (1, Some(warning)) = (number, warning) {
+            self.progress.message(&warning);
+        }
         Ok(())
     }
 

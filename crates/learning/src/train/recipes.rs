@@ -62,9 +62,9 @@ impl TrainConfig {
         }
     }
 
-    /// `docs/src/background/particle_model.md` describes the alternatives.
+    /// The particle model's, and what the others have in common with it. `docs/src/background/particle_model.md` describes the
+    /// alternatives.
     fn particle() -> Self {
-        let stage = |share, frames| UnrollStage { share, frames };
         Self {
             architecture: Architecture::Particle,
             core: Core::MinGru,
@@ -73,7 +73,7 @@ impl TrainConfig {
             patience: 40,
             gravity: [0.0, -9.8],
             elastic_modulus: 0.0,
-            unroll: vec![stage(0.4, 2), stage(0.3, 6), stage(0.25, 14), stage(0.05, 24)],
+            unroll: stages(&[(0.4, 2), (0.3, 6), (0.25, 14), (0.05, 24)]),
             truncation: 0,
             network: NetworkConfig { layers: 1, ..NetworkConfig::of_widths(16, 24) },
             windows: WindowConfig {
@@ -83,7 +83,17 @@ impl TrainConfig {
                 noise: NoiseConfig { position: 3e-4, velocity: 0.02, share: 0.5 },
                 mirror: true,
             },
-            loss: LossConfig::RELATIVE,
+            // Errors in units of the best trivial predictor's over many windows, positions before velocities.
+            loss: LossConfig {
+                kind: LossKind::Relative,
+                position_weight: 1.0,
+                velocity_weight: 0.2,
+                observed_weight: 0.5,
+                common_share: 1.0,
+                error_floor: LossConfig::LEAST_ERROR_FLOOR,
+                density_weight: 0.0,
+                density_grid: 32,
+            },
             optimizer: OptimizerConfig {
                 kind: OptimizerKind::Muon,
                 learning_rate: 2.5e-3,
@@ -98,103 +108,82 @@ impl TrainConfig {
         }
     }
 
-    /// The paper's training of its network: the mean squared error of the next frame, a constant rate, batches of 4,096 windows,
-    /// the 600 steps of its Table 4 and on until 20 epochs of 30 steps bring nothing. `docs/src/background/paper.md` shows why
-    /// this hardly moves the weights.
-    pub fn paper() -> Self {
-        let mut network = NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) };
-        network.frame.material = MaterialInput::Scalar;
-        Self {
-            epochs: 40,
-            patience: 20,
-            unroll: vec![UnrollStage { share: 1.0, frames: 1 }],
-            network,
-            windows: WindowConfig {
-                warm_up: 2,
-                batch: 4096,
-                per_epoch: 30 * 4096,
-                noise: NoiseConfig::NONE,
-                mirror: false,
-            },
-            loss: LossConfig {
-                kind: LossKind::Mse,
-                position_weight: 1.0,
-                velocity_weight: 1.0,
-                observed_weight: 0.0,
-                common_share: 0.0,
-                error_floor: LossConfig::LEAST_ERROR_FLOOR,
-                density_weight: 1e-3,
-                density_grid: 32,
-            },
-            optimizer: OptimizerConfig {
-                kind: OptimizerKind::Adam,
-                learning_rate: 1e-3,
-                warm_up: 0.0,
-                schedule: Schedule::Constant,
-                final_share: 1.0,
-                clip: f32::INFINITY,
-                epsilon: 1e-8,
-                average: 0.0,
-            },
-            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Window },
-            ..Self::frame()
-        }
-    }
-
     /// The paper's network with what it needs to learn: a residual on the ballistic step, errors in units of the best trivial
     /// predictor's, free rollouts, a falling rate. Its 4,800 steps take about a minute on an H100; on CPUs, use smaller
     /// batches.
     fn frame() -> Self {
-        let stage = |share, frames| UnrollStage { share, frames };
+        let base = Self::particle();
         let mut network = NetworkConfig { dropout: 0.1, ..NetworkConfig::of_widths(256, 1250) };
         network.frame.output = FrameOutput::Residual;
         Self {
             architecture: Architecture::Frame,
-            core: Core::MinGru,
-            seed: 1,
             epochs: 8,
             patience: 8,
-            gravity: [0.0, -9.8],
-            elastic_modulus: 0.0,
-            unroll: vec![stage(0.25, 1), stage(0.15, 5), stage(0.6, 20)],
-            truncation: 0,
+            unroll: stages(&[(0.25, 1), (0.15, 5), (0.6, 20)]),
             network,
             windows: WindowConfig {
                 warm_up: 2,
                 batch: 256,
                 per_epoch: 600 * 256,
                 noise: NoiseConfig::NONE,
-                mirror: true,
+                ..base.windows
             },
-            loss: LossConfig::RELATIVE,
             optimizer: OptimizerConfig {
                 kind: OptimizerKind::Adam,
                 // Larger rates let the loss jump up, with a network that does not recover.
                 learning_rate: 3e-4,
                 warm_up: 0.05,
-                schedule: Schedule::Cosine,
-                final_share: 0.02,
-                clip: 1.0,
                 epsilon: 1e-8,
                 average: 0.99,
+                ..base.optimizer
             },
-            validation: ValidationConfig { horizon: 20, starts: 3, observed: Observed::Stream },
+            ..base
+        }
+    }
+
+    /// The paper's training of its network: the mean squared error of the next frame, a constant rate, batches of 4,096 windows,
+    /// the 600 steps of its Table 4 and on until 20 epochs of 30 steps bring nothing. `docs/src/background/paper.md` shows why
+    /// this hardly moves the weights.
+    pub fn paper() -> Self {
+        let base = Self::frame();
+        let frame = FrameOptions { material: MaterialInput::Scalar, ..FrameOptions::default() };
+        Self {
+            epochs: 40,
+            patience: 20,
+            unroll: stages(&[(1.0, 1)]),
+            network: NetworkConfig { frame, ..base.network },
+            windows: WindowConfig {
+                batch: 4096,
+                per_epoch: 30 * 4096,
+                mirror: false,
+                ..base.windows
+            },
+            loss: LossConfig {
+                kind: LossKind::Mse,
+                velocity_weight: 1.0,
+                observed_weight: 0.0,
+                common_share: 0.0,
+                density_weight: 1e-3,
+                ..base.loss
+            },
+            optimizer: OptimizerConfig {
+                learning_rate: 1e-3,
+                warm_up: 0.0,
+                schedule: Schedule::Constant,
+                final_share: 1.0,
+                clip: f32::INFINITY,
+                average: 0.0,
+                ..base.optimizer
+            },
+            validation: ValidationConfig { observed: Observed::Window, ..base.validation },
+            ..base
         }
     }
 }
 
-impl LossConfig {
-    /// Errors in units of the best trivial predictor's over many windows, positions before velocities.
-    const RELATIVE: Self = Self {
-        kind: LossKind::Relative,
-        position_weight: 1.0,
-        velocity_weight: 0.2,
-        observed_weight: 0.5,
-        common_share: 1.0,
-        error_floor: Self::LEAST_ERROR_FLOOR,
-        density_weight: 0.0,
-        density_grid: 32,
-    };
+/// Stages of their shares of the run and numbers of free frames.
+fn stages(stages: &[(f32, usize)]) -> Vec<UnrollStage> {
+    stages.iter().map(|&(share, frames)| UnrollStage { share, frames }).collect()
 }
 
 /// Share of the usual learning rate for a network that is trained already.

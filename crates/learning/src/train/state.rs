@@ -1,11 +1,14 @@
 //! The state of a run between two batches.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Epoch, TrainConfig, loss_weights::TrivialErrors, optimizer::Optimizer, schedule};
+use super::{
+    Epoch, Outcome, TrainConfig, loss_weights::TrivialErrors, movement::Movement,
+    optimizer::Optimizer, schedule, validate::Score,
+};
 use crate::model::{DeviceKind, dropout::Dropout, layers::Layers, network::Network};
 use burn::tensor::Device;
 use eddy_inference::checkpoint::{
@@ -13,6 +16,7 @@ use eddy_inference::checkpoint::{
 };
 
 /// The state of a run between two batches.
+#[derive(Clone)]
 pub(super) struct RunState {
     /// With the weights of a step, if there are some for several stiffnesses.
     pub(super) network: Network,
@@ -216,9 +220,39 @@ impl RunState {
         if epoch == 0 || epoch >= config.epochs {
             return epoch >= config.epochs;
         }
-        let progress = schedule::progress(config, epoch, config.batches());
-        let last_stage = schedule::stage(&config.unroll, progress) + 1 == config.unroll.len();
-        last_stage && self.since_best >= config.patience
+        schedule::in_last_stage(config, epoch) && self.since_best >= config.patience
+    }
+
+    /// Appends an epoch with the means of its batches and the results of its validation.
+    pub(super) fn end_epoch(
+        &mut self,
+        training_loss: f64,
+        learning_rate: f64,
+        score: &Score,
+        movement: &Movement,
+    ) -> Epoch {
+        let epoch = Epoch {
+            epoch: self.epoch() + 1,
+            samples: self.samples,
+            unroll: self.unroll,
+            training_loss,
+            validation_loss: score.loss,
+            first_skill: score.first_skill,
+            last_skill: score.last_skill,
+            learning_rate,
+            weight_distance: movement.distance,
+            epsilon_share: movement.epsilon_share,
+            best: self.best_loss().is_none_or(|best| score.loss < best),
+        };
+        self.epochs.push(epoch);
+        self.since_best = if epoch.best { 0 } else { self.since_best + 1 };
+        epoch
+    }
+
+    /// The outcome of a run that ends after so much time in this process.
+    pub(super) fn outcome(self, interrupted: bool, elapsed: Duration) -> Outcome {
+        let Self { epochs, best, seconds, samples, .. } = self;
+        Outcome { epochs, best, interrupted, seconds: seconds + elapsed.as_secs_f64(), samples }
     }
 }
 

@@ -7,9 +7,10 @@ use super::{
     Run, TrainConfig, TrainError,
     gradients::{BatchGradient, GradientTask},
     knots,
+    schedule::Batches,
     state::RunState,
     validate,
-    window::{Sampler, Window},
+    window::{self, Sampler, Window},
 };
 #[cfg(feature = "cuda")]
 use crate::model::DeviceKind;
@@ -23,12 +24,28 @@ use eddy_inference::{
 pub(super) struct Step {
     /// The loss before the step.
     pub(super) loss: f32,
+    pub(super) learning_rate: f64,
     /// Norm of the gradient, before clipping.
     pub(super) gradient_norm: f64,
     /// Whether the gradient is finite. Through burn, it is 0 where it was not.
     pub(super) finite: bool,
     /// Stream and first frame of each window.
     pub(super) windows: Vec<(u64, usize)>,
+}
+
+impl Step {
+    /// Rejects a loss or a gradient that is not finite; epoch and batch are counted from 1.
+    pub(super) fn check(&self, epoch: u32, batch: usize) -> Result<(), TrainError> {
+        let windows = || window::names(&self.windows);
+        if !self.loss.is_finite() {
+            let found = self.loss;
+            return Err(TrainError::NotFinite { epoch, batch, windows: windows(), found });
+        }
+        if !self.finite {
+            return Err(TrainError::GradientNotFinite { epoch, batch, windows: windows() });
+        }
+        Ok(())
+    }
 }
 
 /// What takes the steps.
@@ -94,18 +111,18 @@ impl Learner {
         }
     }
 
-    /// One step for each learning rate. At least `left` batches of the stage are still to come.
+    /// Takes the steps of batches of a stage: draws windows, computes gradients, changes the weights.
     pub(super) fn steps(
         &mut self,
         task: &GradientTask,
         sampler: &mut Sampler,
-        left: usize,
-        rates: &[f64],
+        batches: &Batches,
         state: &mut RunState,
     ) -> Result<Vec<Step>, TrainError> {
+        let Batches { rates, left, .. } = batches;
         match self {
             Self::Burn => {
-                rates.iter().map(|&rate| step(task, sampler, left, rate, state)).collect()
+                rates.iter().map(|&rate| step(task, sampler, *left, rate, state)).collect()
             }
             #[cfg(feature = "cuda")]
             Self::Cuda(learner) => learner.steps(task, sampler, rates, state),
@@ -140,7 +157,7 @@ fn step(
     task: &GradientTask,
     sampler: &mut Sampler,
     left: usize,
-    rate: f64,
+    learning_rate: f64,
     state: &mut RunState,
 ) -> Result<Step, TrainError> {
     let windows = sampler.batch(task.config.windows.batch, || left, &mut state.order)?;
@@ -151,9 +168,9 @@ fn step(
         task.compute(&state.network, &windows, &mut state.dropout);
     let windows = windows.iter().map(Window::origin).collect();
     if !loss.is_finite() {
-        return Ok(Step { loss, gradient_norm: f64::NAN, finite: true, windows });
+        return Ok(Step { loss, learning_rate, gradient_norm: f64::NAN, finite: true, windows });
     }
-    let mut step = state.optimizer.step(rate, &task.config.optimizer).measured();
+    let mut step = state.optimizer.step(learning_rate, &task.config.optimizer).measured();
     if state.of_knots.is_empty() {
         state.network.layers_mut().exchange(|tensor, values| {
             if !gradients[tensor].is_empty() {
@@ -168,5 +185,5 @@ fn step(
             step.change_by_share(tensor, values, gradient, share);
         }
     }
-    Ok(Step { loss, gradient_norm: step.gradient_norm(), finite: true, windows })
+    Ok(Step { loss, learning_rate, gradient_norm: step.gradient_norm(), finite: true, windows })
 }
