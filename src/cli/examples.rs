@@ -1,9 +1,9 @@
 //! The examples at the end of `--help`; a test runs all of them.
 
-use clap::Command;
+use eddy_cli::arguments::Examples;
 
-/// A command, and its examples.
-const EXAMPLES: &[(&str, &[&str])] = &[
+/// The examples of each command.
+pub(super) const EXAMPLES: &[Examples] = &[
     ("demo", &["eddy demo", "eddy demo --headless --seconds 4 --output bags/short"]),
     (
         "simulate",
@@ -142,38 +142,3 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ("completions", &["source <(eddy completions bash)", "eddy completions zsh > _eddy"]),
     ("man", &["eddy man man1"]),
 ];
-
-/// The command line with the examples at the end of each command's long help.
-pub(super) fn added(command: Command) -> Command {
-    EXAMPLES.iter().fold(command, |command, (path, lines)| {
-        let words: Vec<_> = path.split(' ').collect();
-        let lines: Vec<String> = lines.iter().map(|line| wrapped(line)).collect();
-        under(command, &words, &format!("Examples:\n  {}", lines.join("\n  ")))
-    })
-}
-
-/// A command for a terminal of 80 columns, continued with `\` as in a shell.
-fn wrapped(line: &str) -> String {
-    /// Columns without the indentation and the backslash.
-    const COLUMNS: usize = 74;
-    let (mut text, mut length) = (String::new(), 0);
-    for word in line.split(' ') {
-        if length > 0 && length + 1 + word.len() > COLUMNS {
-            text.push_str(" \\\n     ");
-            length = 4;
-        }
-        if length > 0 {
-            text.push(' ');
-        }
-        text.push_str(word);
-        length += 1 + word.len();
-    }
-    text
-}
-
-fn under(command: Command, path: &[&str], text: &str) -> Command {
-    match path {
-        [] => command.after_long_help(text.to_owned()),
-        [first, rest @ ..] => command.mut_subcommand(first, |inner| under(inner, rest, text)),
-    }
-}

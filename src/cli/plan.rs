@@ -4,7 +4,7 @@ use std::{num::NonZeroU32, path::PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::SceneArgs;
+use eddy_cli::SceneArgs;
 use eddy_lab::commands::{PlanListArgs, PlanRunArgs, StudyChoice};
 
 /// `eddy plan`

@@ -2,21 +2,17 @@
 
 use std::path::PathBuf;
 
-use super::{
-    Interrupt, TerminalProgress, allocator,
-    output::{Output, OutputKind},
-    real_time,
-};
 use crate::cli::RealTimeBenchArgs;
+use eddy_cli::{Interrupt, Output, OutputKind, TerminalProgress, keep_freed_memory};
 use eddy_lab::commands::{self, BenchCommand, StudyArgs};
 
 /// Runs one of the benchmarks.
 pub fn bench(args: RealTimeBenchArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     // Before the first thread starts: threads inherit all of this.
-    real_time::apply(&args.real_time)?;
+    args.real_time.apply()?;
     let args = args.bench;
     if matches!(args.command, BenchCommand::Training(_)) {
-        allocator::keep_freed_memory();
+        keep_freed_memory();
     }
     let room = |html: &PathBuf| Output::at(html, OutputKind::Page, args.force, &[]);
     let room = args.html.as_ref().map(room).transpose()?;
@@ -27,6 +23,6 @@ pub fn bench(args: RealTimeBenchArgs, quiet: bool, interrupt: &Interrupt) -> any
 
 /// Runs one of the paper's comparisons.
 pub fn study(args: StudyArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    allocator::keep_freed_memory();
+    keep_freed_memory();
     commands::study(args, &TerminalProgress::new(quiet, interrupt))
 }

@@ -2,8 +2,8 @@
 
 use std::num::NonZeroU32;
 
-use super::{Interrupt, TerminalProgress, allocator, simulate};
-use crate::cli::{Device, PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
+use crate::cli::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
+use eddy_cli::{Device, Interrupt, TerminalProgress, keep_freed_memory, with_usage};
 use eddy_evaluation::dataset::simulate::MOST_SCENES;
 use eddy_lab::{commands, plans::LongJob};
 use eddy_learning::model::DeviceKind;
@@ -15,7 +15,7 @@ pub fn run(args: PlanArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         PlanCommand::Study(args) => study(args),
         PlanCommand::List(args) => commands::plan_list(&args),
         PlanCommand::Run(args) => {
-            allocator::keep_freed_memory();
+            keep_freed_memory();
             commands::plan_run(&args, &TerminalProgress::new(quiet, interrupt))
         }
     }
@@ -23,7 +23,7 @@ pub fn run(args: PlanArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 
 fn simulation(args: &PlanSimulateArgs) -> anyhow::Result<()> {
     let PlanSimulateArgs { file, scenes, output, tasks } = args;
-    let request = simulate::request(scenes, None)?;
+    let request = scenes.request(None)?;
     let device = match scenes.device {
         Device::Cpu => DeviceKind::Flex,
         #[cfg(feature = "cuda")]
@@ -31,7 +31,7 @@ fn simulation(args: &PlanSimulateArgs) -> anyhow::Result<()> {
     };
     let per_task = per_task(tasks.scenes_per_task, device);
     let plan = LongJob::simulate(&request, output, device, per_task);
-    commands::plan_save(plan.map_err(simulate::with_usage)?, file, tasks.force)
+    commands::plan_save(plan.map_err(with_usage)?, file, tasks.force)
 }
 
 fn study(args: PlanStudyArgs) -> anyhow::Result<()> {
