@@ -2,10 +2,7 @@
 
 use serde_json::Value;
 
-use crate::{
-    eval::is_a_page_of_its_own,
-    support::{Stalls, fail, succeed},
-};
+use crate::support::{Stalls, fail, is_a_page_of_its_own, succeed};
 
 #[test]
 fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {

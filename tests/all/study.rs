@@ -5,10 +5,7 @@ use std::{fs, path::Path, time::SystemTime};
 use eddy_evaluation::Report;
 use tempfile::TempDir;
 
-use crate::{
-    eval::is_a_page_of_its_own,
-    support::{Process, fail, succeed, talking_eddy},
-};
+use crate::support::{Process, fail, is_a_page_of_its_own, succeed, talking_eddy};
 
 /// Small enough for a test; three scenes of each preset.
 const SETTINGS: &str = r#"

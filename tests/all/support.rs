@@ -343,3 +343,35 @@ pub fn entries(directory: &Path) -> Vec<String> {
     names.sort();
     names
 }
+
+/// A page is whole, its tags are closed, and it asks nobody for anything.
+pub fn is_a_page_of_its_own(html: &str) {
+    for word in ["http://", "https://", "@import", "url(", "<link", "<iframe", "srcset", "fetch("] {
+        assert!(!html.contains(word), "found {word}");
+    }
+    // One script of its own, without which the page is complete.
+    let (before, script) = html.split_once("<script>").unwrap();
+    let (_, after) = script.split_once("</script>").unwrap();
+    let html = &format!("{before}{after}");
+    assert!(!html.contains("<script"));
+    assert_eq!(html.matches("src=").count(), html.matches("src=\"data:").count());
+    assert!(!html.contains("NaN") && !html.contains("inf "), "numbers that are none");
+    let mut open = Vec::new();
+    let rest = html.strip_prefix("<!DOCTYPE html>").unwrap();
+    for tag in rest.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').unwrap();
+        let name = tag.trim_start_matches('/').split([' ', '\n', '/']).next().unwrap();
+        match tag.starts_with('/') {
+            true => assert_eq!(open.pop(), Some(name), "</{name}>"),
+            // Those have no end.
+            false if ["meta", "img"].contains(&name) || tag.ends_with('/') => {}
+            false => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "not closed: {open:?}");
+    // Where links lead to is there.
+    for link in html.split("href=\"#").skip(1) {
+        let (target, _) = link.split_once('"').unwrap();
+        assert!(html.contains(&format!("id=\"{target}\"")), "{target}");
+    }
+}
