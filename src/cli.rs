@@ -5,24 +5,25 @@ mod calibrate;
 mod eval;
 mod examples;
 mod node;
-mod plan;
 mod service;
 mod simulate;
 mod topic;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{
+    Args, CommandFactory, Parser, Subcommand,
+    error::{ContextKind, ContextValue},
+};
 use clap_complete::Shell;
 use regex::Regex;
 
 use eddy_bag::Compression;
 use eddy_cli::{
-    Device, RealTimeArgs,
+    Device,
     arguments::{self, GlobalArgs},
     values,
 };
-use eddy_lab::commands::{BenchArgs, StudyArgs};
 use eddy_learning::{
     model::{Architecture, Core, DeviceKind, Precision},
     train::Recipe,
@@ -37,7 +38,6 @@ pub use bag::{
 pub use calibrate::CalibrateArgs;
 pub use eval::{DEFAULT_HORIZON, EvalArgs, ReferenceName};
 pub use node::NodeArgs;
-pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
 pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
@@ -76,10 +76,6 @@ pub enum Command {
     Eval(EvalArgs),
     /// Calibrate estimates of a checkpoint's errors, which nodes and `eddy eval` state, by free rollouts over bags.
     Calibrate(CalibrateArgs),
-    /// Run a comparison of the paper: simulate, train, evaluate, report.
-    Study(StudyArgs),
-    /// Divide a long job into tasks that several machines can share, and run them.
-    Plan(PlanArgs),
     /// Run several eddy processes from one file and restart those that fail.
     Launch(LaunchArgs),
     /// Inspect, check, repair, edit, convert and render bags.
@@ -90,8 +86,6 @@ pub enum Command {
     Service(ServiceArgs),
     /// Read and set parameters of nodes, without ROS.
     Param(ParamArgs),
-    /// Run benchmarks on this machine.
-    Bench(RealTimeBenchArgs),
     /// List the devices that networks can be trained on.
     Devices,
     /// Print a shell completion script.
@@ -108,7 +102,8 @@ pub fn command() -> clap::Command {
 impl Cli {
     /// Parses the arguments of this process; exits after printing help or an error.
     pub fn read() -> Self {
-        arguments::read::<Self>(command()).without_aliases()
+        let read = arguments::read::<Self>(command());
+        read.unwrap_or_else(|error| rejected(&error)).without_aliases()
     }
 
     /// The commands of `ros2 bag` as what they are here.
@@ -120,6 +115,20 @@ impl Cli {
         };
         Self { command, ..self }
     }
+}
+
+/// Commands that are now those of `eddy-lab`.
+const OF_THE_LAB: [&str; 3] = ["bench", "plan", "study"];
+
+/// Prints help or an error, and exits.
+fn rejected(error: &clap::Error) -> ! {
+    if let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidSubcommand)
+        && OF_THE_LAB.contains(&word.as_str())
+    {
+        eprintln!("eddy: {word} is a command of the program eddy-lab: `eddy-lab {word} ...`");
+        std::process::exit(error.exit_code());
+    }
+    error.exit()
 }
 
 /// `eddy completions`
@@ -393,15 +402,6 @@ pub struct TrainArgs {
     /// multiple. Needs libnccl.
     #[arg(long, value_name = "N", default_value = "1")]
     pub gpus: NonZeroUsize,
-}
-
-/// `eddy bench`
-#[derive(Debug, Args)]
-pub struct RealTimeBenchArgs {
-    #[command(flatten)]
-    pub bench: BenchArgs,
-    #[command(flatten)]
-    pub real_time: RealTimeArgs,
 }
 
 /// `eddy predict`

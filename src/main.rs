@@ -1,6 +1,6 @@
 //! The `eddy` program: parses the command line and runs one of [`commands`].
 
-#[macro_use(print, println)]
+#[macro_use(eprintln, print, println)]
 extern crate eddy_cli;
 
 mod cli;
@@ -58,10 +58,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Calibrate(args) => commands::calibrate::run(&args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
-        Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
-        Command::Plan(args) => commands::plan::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
-        Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
         Command::Service(args) => commands::service::run(args, &interrupt),

@@ -59,23 +59,6 @@ pub(super) const EXAMPLES: &[Examples] = &[
     ),
     ("calibrate", &["eddy calibrate --checkpoint checkpoints/mine --data bags/calibration"]),
     (
-        "study",
-        &[
-            "eddy study cores --output reports/study",
-            "eddy study activations --output reports/study",
-        ],
-    ),
-    (
-        "plan simulate",
-        &["eddy plan simulate plan.json --preset kinds --scenes 4 --output bags/planned"],
-    ),
-    ("plan list", &["eddy plan list plan.json", "eddy plan list plan.json --arrays"]),
-    (
-        "plan run",
-        &["eddy plan run plan.json --task scene-0002", "eddy plan run plan.json --jobs 2"],
-    ),
-    ("plan study", &["eddy plan study study.json cores --output reports/study"]),
-    (
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
@@ -130,15 +113,6 @@ pub(super) const EXAMPLES: &[Examples] = &[
     ("param get", &["eddy param get /eddy_node horizon"]),
     ("param set", &["eddy param set /eddy_node horizon 10"]),
     ("param dump", &["eddy param dump /eddy_node"]),
-    ("bench solver", &["eddy bench solver --particles 2500,10000 --threads 1,2"]),
-    ("bench inference", &["eddy bench inference --core mingru,lstm --engine-only"]),
-    ("bench training", &["eddy bench training --step frame:mingru:2 --step core:lstm:16"]),
-    ("bench transport", &["eddy bench transport --transport shm,zenoh --particles 2500"]),
-    ("bench node", &["eddy bench node --streams 16 --hertz 20"]),
-    ("bench group", &["eddy bench group --nodes 10 --streams 1000"]),
-    ("bench replay", &["eddy bench replay --hertz 250 --seconds 15"]),
-    ("bench view", &["eddy bench view --particles 100000 --seconds 4"]),
-    ("bench bag", &["eddy bench bag --seconds 4 --json"]),
     ("completions", &["source <(eddy completions bash)", "eddy completions zsh > _eddy"]),
     ("man", &["eddy man man1"]),
 ];

@@ -39,11 +39,13 @@ pub fn prepared(command: Command, examples: &[Examples]) -> Command {
     without_empty_variables(with_negative_numbers(with_examples(command, examples)))
 }
 
-/// Parses the arguments of this process; exits after printing help or an error.
-pub fn read<C: FromArgMatches>(command: Command) -> C {
-    let matches = command.try_get_matches().map_err(without_escape_tip);
-    let read = matches.and_then(|matches| C::from_arg_matches(&matches));
-    read.unwrap_or_else(|error| error.exit())
+/// Parses the arguments of this process.
+///
+/// # Errors
+/// What is wrong with them; also for `--help` and `--version`, whose text is the error.
+pub fn read<C: FromArgMatches>(command: Command) -> Result<C, clap::Error> {
+    let matches = command.try_get_matches().map_err(without_escape_tip)?;
+    C::from_arg_matches(&matches)
 }
 
 /// As in ROS 2, an empty environment variable is the same as an unset one.
