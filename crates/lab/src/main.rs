@@ -4,7 +4,8 @@
 //! 2. [`commands`]: arguments and tables of `eddy-lab bench`, `eddy-lab study` and `eddy-lab plan`.
 //! 3. [`mod@bench`]: what `eddy-lab bench` measures.
 //! 4. [`study`]: the paper's comparisons.
-//! 5. [`plans`]: data sets and comparisons as tasks for several machines.
+//! 5. [`mod@dense`]: the network of its comparison of activations.
+//! 6. [`plans`]: data sets and comparisons as tasks for several machines.
 
 #[macro_use(println)]
 extern crate eddy_cli;
@@ -12,6 +13,7 @@ extern crate eddy_cli;
 mod bench;
 mod cli;
 mod commands;
+mod dense;
 mod plans;
 mod study;
 

@@ -2,11 +2,11 @@
 //! is done.
 
 use eddy_evaluation::dataset::simulate::Planned;
-use eddy_learning::train::{TrainConfig, dense::DenseConfig, step_benchmark::PARTICLES};
+use eddy_learning::train::{TrainConfig, step_benchmark::PARTICLES};
 use eddy_mpm::MpmError;
 use eddy_plan::Cost;
 
-use crate::bench::training::products;
+use crate::{bench::training::products, dense::DenseConfig};
 
 /// Time per particle and substep on one thread (s): `eddy-lab bench solver`, see the page "Numbers".
 const PARTICLE_UPDATE: f64 = 20e-9;

@@ -15,8 +15,7 @@
 //! 13. `trainer`: the training loop, which all of these serve.
 //! 14. `footprint`: the memory and disk space that a run needs, estimated before it starts.
 //!
-//! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
-//! network for the paper's comparison of activations.
+//! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed.
 
 mod batch;
 mod config;
@@ -29,7 +28,6 @@ mod cuda_particle_tests;
 #[cfg(feature = "cuda")]
 mod cuda_tests;
 mod data_warnings;
-pub mod dense;
 mod density;
 mod description;
 mod error;
