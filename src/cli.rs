@@ -5,23 +5,25 @@ mod calibrate;
 mod eval;
 mod examples;
 mod node;
-mod plan;
 mod service;
 mod simulate;
 mod topic;
-mod values;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{
-    Args, CommandFactory, FromArgMatches, Parser, Subcommand,
-    error::{ContextKind, ContextValue, ErrorKind},
+    Args, CommandFactory, Parser, Subcommand,
+    error::{ContextKind, ContextValue},
 };
 use clap_complete::Shell;
 use regex::Regex;
 
 use eddy_bag::Compression;
-use eddy_lab::commands::{BenchArgs, StudyArgs};
+use eddy_cli::{
+    Device,
+    arguments::{self, GlobalArgs},
+    values,
+};
 use eddy_learning::{
     model::{Architecture, Core, DeviceKind, GpuOptions, Precision},
     train::Recipe,
@@ -35,40 +37,20 @@ pub use bag::{
 };
 pub use calibrate::CalibrateArgs;
 pub use eval::{DEFAULT_HORIZON, EvalArgs, ReferenceName};
-pub use node::{NodeArgs, RealTimeArgs};
-pub use plan::{PlanArgs, PlanCommand, PlanSimulateArgs, PlanStudyArgs};
+pub use node::NodeArgs;
 pub use service::{
     ParamArgs, ParamCommand, SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand,
     ServiceListArgs,
 };
-pub use simulate::{SceneArgs, SimulateArgs, Stiffness};
+pub use simulate::SimulateArgs;
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
-pub use values::Device;
-
-/// Heading of the options that every command has.
-const GLOBAL: &str = "Global options";
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
 #[derive(Debug, Parser)]
 #[command(name = "eddy", version, propagate_version = true, max_term_width = 100)]
 pub struct Cli {
-    /// Print errors only: no progress bars, status lines or summaries.
-    #[arg(long, short, global = true, help_heading = GLOBAL)]
-    pub quiet: bool,
-
-    /// Log level on standard error: error, warn, info, debug or trace, or a filter such as `eddy=debug` [default: warn].
-    #[arg(
-        long,
-        value_name = "LEVEL",
-        global = true,
-        help_heading = GLOBAL,
-        hide_default_value = true,
-        hide_env_values = true,
-        // RustDDS logs normal events as errors, such as participants that appear and disappear.
-        default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
-        env = "EDDY_LOG"
-    )]
-    pub log_level: String,
+    #[command(flatten)]
+    pub global: GlobalArgs,
 
     #[command(subcommand)]
     pub command: Command,
@@ -94,10 +76,6 @@ pub enum Command {
     Eval(EvalArgs),
     /// Calibrate estimates of a checkpoint's errors, which nodes and `eddy eval` state, by free rollouts over bags.
     Calibrate(CalibrateArgs),
-    /// Run a comparison of the paper: simulate, train, evaluate, report.
-    Study(StudyArgs),
-    /// Divide a long job into tasks that several machines can share, and run them.
-    Plan(PlanArgs),
     /// Run several eddy processes from one file and restart those that fail.
     Launch(LaunchArgs),
     /// Inspect, check, repair, edit, convert and render bags.
@@ -108,8 +86,6 @@ pub enum Command {
     Service(ServiceArgs),
     /// Read and set parameters of nodes, without ROS.
     Param(ParamArgs),
-    /// Run benchmarks on this machine.
-    Bench(RealTimeBenchArgs),
     /// List the devices that networks can be trained on.
     Devices,
     /// Print a shell completion script.
@@ -120,52 +96,14 @@ pub enum Command {
 
 /// The command line, with examples at the end of each command's long help.
 pub fn command() -> clap::Command {
-    without_empty_variables(with_negative_numbers(examples::added(Cli::command())))
-}
-
-/// As in ROS 2, an empty environment variable is the same as an unset one.
-#[expect(clippy::disallowed_methods, reason = "clap reads the variables that its arguments name")]
-fn without_empty_variables(command: clap::Command) -> clap::Command {
-    let is_empty = |arg: &clap::Arg| {
-        let value = arg.get_env().and_then(std::env::var_os);
-        value.is_some_and(|value| value.is_empty())
-    };
-    let command = command.mut_args(|arg| match is_empty(&arg) {
-        true => arg.env(None::<&'static str>),
-        false => arg,
-    });
-    command.mut_subcommands(without_empty_variables)
-}
-
-/// Takes `-1` for a value, which is then rejected with the range of the option, and not for an unknown option.
-fn with_negative_numbers(command: clap::Command) -> clap::Command {
-    let takes_value = |arg: &clap::Arg| arg.get_action().takes_values() && !arg.is_positional();
-    let command = command.mut_args(|arg| match takes_value(&arg) {
-        true => arg.allow_negative_numbers(true),
-        false => arg,
-    });
-    command.mut_subcommands(with_negative_numbers)
-}
-
-/// Removes the tip to pass an unknown option as a value, which it hardly ever is.
-fn without_escape_tip(mut error: clap::Error) -> clap::Error {
-    if error.kind() == ErrorKind::UnknownArgument
-        && let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested)
-    {
-        tips.retain(|tip| !tip.to_string().starts_with("to pass "));
-        if !tips.is_empty() {
-            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
-        }
-    }
-    error
+    arguments::prepared(Cli::command(), examples::EXAMPLES)
 }
 
 impl Cli {
     /// Parses the arguments of this process; exits after printing help or an error.
     pub fn read() -> Self {
-        let matches = command().try_get_matches().map_err(without_escape_tip);
-        let read = matches.and_then(|matches| Self::from_arg_matches(&matches));
-        read.unwrap_or_else(|error| error.exit()).without_aliases()
+        let read = arguments::read::<Self>(command());
+        read.unwrap_or_else(|error| rejected(&error)).without_aliases()
     }
 
     /// The commands of `ros2 bag` as what they are here.
@@ -177,6 +115,20 @@ impl Cli {
         };
         Self { command, ..self }
     }
+}
+
+/// Commands that are now those of `eddy-lab`.
+const OF_THE_LAB: [&str; 3] = ["bench", "plan", "study"];
+
+/// Prints help or an error, and exits.
+fn rejected(error: &clap::Error) -> ! {
+    if let Some(ContextValue::String(word)) = error.get(ContextKind::InvalidSubcommand)
+        && OF_THE_LAB.contains(&word.as_str())
+    {
+        eprintln!("eddy: {word} is a command of the program eddy-lab: `eddy-lab {word} ...`");
+        std::process::exit(error.exit_code());
+    }
+    error.exit()
 }
 
 /// `eddy completions`
@@ -450,15 +402,6 @@ pub struct TrainArgs {
     /// multiple. Needs libnccl.
     #[arg(long, value_name = "N", default_value_t = GpuOptions::default().count)]
     pub gpus: NonZeroUsize,
-}
-
-/// `eddy bench`
-#[derive(Debug, Args)]
-pub struct RealTimeBenchArgs {
-    #[command(flatten)]
-    pub bench: BenchArgs,
-    #[command(flatten)]
-    pub real_time: RealTimeArgs,
 }
 
 /// `eddy predict`

@@ -1,7 +1,7 @@
 //! The `eddy` program: parses the command line and runs one of [`commands`].
 
-#[macro_use]
-mod terminal;
+#[macro_use(eprintln, print, println)]
+extern crate eddy_cli;
 
 mod cli;
 mod commands;
@@ -15,30 +15,14 @@ use tracing_subscriber::{
 };
 
 use cli::{Cli, Command};
-use commands::Interrupt;
-use eddy_settings::usage::Usage;
+use eddy_cli::{Interrupt, logs};
 
 /// Keeps freed memory: training and inference allocate the same large temporaries again and again.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Exit code of a failure.
-const FAILED: u8 = 1;
-/// Exit code of wrong usage, as in clap.
-const WRONG_USAGE: u8 = 2;
-
 fn main() -> ExitCode {
-    let code = run(Cli::read()).unwrap_or_else(|error| {
-        eprintln!("eddy: {error:#}");
-        ExitCode::from(if error.is::<Usage>() { WRONG_USAGE } else { FAILED })
-    });
-    match terminal::failure() {
-        Some(error) => {
-            eprintln!("eddy: cannot write to standard output: {error}");
-            ExitCode::from(FAILED)
-        }
-        None => code,
-    }
+    eddy_cli::exit_code("eddy", run(Cli::read()))
 }
 
 /// The ROS node of the command; exits with wrong usage when its arguments are invalid.
@@ -55,18 +39,13 @@ fn rosout_filter(ros: &RosNode) -> EnvFilter {
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {
     let ros = ros_node(&cli.command);
-    let filter = EnvFilter::try_new(ros.console_filter(&cli.log_level))?;
-    let lines = tracing_subscriber::fmt::layer()
-        .with_writer(|| terminal::Log)
-        .with_ansi(terminal::has_colors())
-        // It would panic when the reader of standard error is gone.
-        .log_internal_errors(false);
+    let filter = EnvFilter::try_new(ros.console_filter(&cli.global.log_level))?;
     let rosout =
         (cli.command.has_log_topic() && ros.has_rosout()).then(|| Rosout::new(ros.logger()));
     let published = rosout.clone().map(|rosout| rosout.with_filter(rosout_filter(&ros)));
-    tracing_subscriber::registry().with(lines.with_filter(filter)).with(published).init();
+    tracing_subscriber::registry().with(logs(filter)).with(published).init();
     let interrupt = Interrupt::install()?;
-    let quiet = cli.quiet;
+    let quiet = cli.global.quiet;
     match cli.command {
         Command::Demo(args) => commands::demo::run(args, quiet, &interrupt),
         Command::Simulate(args) => commands::simulate::run(args, quiet, &interrupt),
@@ -79,10 +58,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Calibrate(args) => commands::calibrate::run(&args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),
-        Command::Study(args) => commands::lab::study(args, quiet, &interrupt),
-        Command::Plan(args) => commands::plan::run(args, quiet, &interrupt),
         Command::Launch(args) => commands::launch::run(&args, quiet, &interrupt),
-        Command::Bench(args) => commands::lab::bench(args, quiet, &interrupt),
         Command::Bag(args) => return commands::bag::run(args, quiet, &interrupt),
         Command::Topic(args) => commands::topic::run(args, &interrupt),
         Command::Service(args) => commands::service::run(args, &interrupt),

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Runs the tasks of a plan that are not done on a Ray cluster: ray_run.py PLAN [--address ADDRESS] [--eddy EDDY] [--restarts N].
+"""Runs the tasks of a plan that are not done on a Ray cluster: ray_run.py PLAN [--address ADDRESS] [--eddy-lab PROGRAM] [--restarts N].
 
-The plan and its data are on a file system that all nodes see; eddy is in the PATH there, or --eddy says where. Needs `pip install ray`. A
+The plan and its data are on a file system that all nodes see; eddy-lab is in the PATH there, or --eddy-lab says where. Needs `pip install ray`. A
 task that fails, or whose worker or node is lost, is started again up to N times; tasks that need its outputs are not run if it fails
 for good. Run the script again for what is left.
 """
@@ -25,9 +25,9 @@ def die_with_worker():
 
 
 @ray.remote
-def run_task(eddy, plan, number, *after):
+def run_task(eddy_lab, plan, number, *after):
     """Runs a task. Ray waits for `after`, the tasks whose outputs it reads."""
-    command = [eddy, "plan", "run", plan, "--task", str(number)]
+    command = [eddy_lab, "plan", "run", plan, "--task", str(number)]
     done = subprocess.run(command, capture_output=True, text=True, preexec_fn=die_with_worker)
     if done.returncode:
         raise RuntimeError(done.stderr.strip() or f"task {number}: ended with {done.returncode}")
@@ -38,11 +38,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("plan")
     parser.add_argument("--address", help="address of the cluster [default: that of RAY_ADDRESS, else a new one on this machine]")
-    parser.add_argument("--eddy", default="eddy")
+    parser.add_argument("--eddy-lab", default="eddy-lab")
     parser.add_argument("--restarts", type=int, default=3, help="how often a task is started again [default: 3]")
     options = parser.parse_args()
     plan = os.path.abspath(options.plan)
-    listed = subprocess.run([options.eddy, "plan", "list", plan, "--json"], check=True, capture_output=True, text=True)
+    listed = subprocess.run([options.eddy_lab, "plan", "list", plan, "--json"], check=True, capture_output=True, text=True)
     tasks = json.loads(listed.stdout)
     ray.init(address=options.address, log_to_driver=False)
     results = {}
@@ -54,7 +54,7 @@ def main():
         again = {"max_retries": options.restarts, "retry_exceptions": True}
         after = [results[number] for number in task["after"] if number in results]
         name = task["name"]
-        results[task["task"]] = run_task.options(name=name, **needs, **again).remote(options.eddy, plan, task["task"], *after)
+        results[task["task"]] = run_task.options(name=name, **needs, **again).remote(options.eddy_lab, plan, task["task"], *after)
     failed = 0
     for number, result in results.items():
         try:

@@ -79,7 +79,7 @@ pub struct NewBagArgs {
     pub compression: Option<Compression>,
     /// Entries of custom_data in metadata.yaml, beside those of the input; eddy_stiffness=E is Young's modulus of the recorded matter
     /// (density x velocity^2), eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2).
-    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = super::values::key_value)]
+    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = eddy_cli::values::key_value)]
     pub custom_data: Vec<(String, String)>,
 }
 
@@ -105,7 +105,7 @@ pub struct CutArgs {
     #[arg(long, value_name = "TIME", conflicts_with = "duration")]
     pub end: Option<BagTime>,
     /// Duration from the start time (recorded s).
-    #[arg(long, value_name = "SECONDS", value_parser = super::values::positive_seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = eddy_cli::values::positive_seconds)]
     pub duration: Option<f64>,
     #[command(flatten)]
     pub new: NewBagArgs,
@@ -210,7 +210,7 @@ pub struct ImportArgs {
     pub material: Option<Material>,
     /// Entries of custom_data in metadata.yaml of each bag; eddy_stiffness=E is Young's modulus of the matter (density x velocity^2),
     /// eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2) [default: from npz files].
-    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = super::values::key_value)]
+    #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = eddy_cli::values::key_value)]
     pub custom_data: Vec<(String, String)>,
 }
 
@@ -241,7 +241,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub frames: u32,
     /// Simulated time per time of the animation.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = super::values::positive)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = eddy_cli::values::positive)]
     pub rate: f64,
     /// Longer side of the domain (pixels) [default: 240 in the strip, 480 in the animation].
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]

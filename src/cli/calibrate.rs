@@ -4,7 +4,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 
-use super::Device;
+use eddy_cli::Device;
 use eddy_evaluation::DEFAULT_STARTS;
 
 /// `eddy calibrate`

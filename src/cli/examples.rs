@@ -1,9 +1,9 @@
 //! The examples at the end of `--help`; a test runs all of them.
 
-use clap::Command;
+use eddy_cli::arguments::Examples;
 
-/// A command, and its examples.
-const EXAMPLES: &[(&str, &[&str])] = &[
+/// The examples of each command.
+pub(super) const EXAMPLES: &[Examples] = &[
     ("demo", &["eddy demo", "eddy demo --headless --seconds 4 --output bags/short"]),
     (
         "simulate",
@@ -59,23 +59,6 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ),
     ("calibrate", &["eddy calibrate --checkpoint checkpoints/mine --data bags/calibration"]),
     (
-        "study",
-        &[
-            "eddy study cores --output reports/study",
-            "eddy study activations --output reports/study",
-        ],
-    ),
-    (
-        "plan simulate",
-        &["eddy plan simulate plan.json --preset kinds --scenes 4 --output bags/planned"],
-    ),
-    ("plan list", &["eddy plan list plan.json", "eddy plan list plan.json --arrays"]),
-    (
-        "plan run",
-        &["eddy plan run plan.json --task scene-0002", "eddy plan run plan.json --jobs 2"],
-    ),
-    ("plan study", &["eddy plan study study.json cores --output reports/study"]),
-    (
         "eval",
         &[
             "eddy eval --checkpoint checkpoints/mine --data bags/mm --output reports/mine",
@@ -130,50 +113,6 @@ const EXAMPLES: &[(&str, &[&str])] = &[
     ("param get", &["eddy param get /eddy_node horizon"]),
     ("param set", &["eddy param set /eddy_node horizon 10"]),
     ("param dump", &["eddy param dump /eddy_node"]),
-    ("bench solver", &["eddy bench solver --particles 2500,10000 --threads 1,2"]),
-    ("bench inference", &["eddy bench inference --core mingru,lstm --engine-only"]),
-    ("bench training", &["eddy bench training --step frame:mingru:2 --step core:lstm:16"]),
-    ("bench transport", &["eddy bench transport --transport shm,zenoh --particles 2500"]),
-    ("bench node", &["eddy bench node --streams 16 --hertz 20"]),
-    ("bench group", &["eddy bench group --nodes 10 --streams 1000"]),
-    ("bench replay", &["eddy bench replay --hertz 250 --seconds 15"]),
-    ("bench view", &["eddy bench view --particles 100000 --seconds 4"]),
-    ("bench bag", &["eddy bench bag --seconds 4 --json"]),
     ("completions", &["source <(eddy completions bash)", "eddy completions zsh > _eddy"]),
     ("man", &["eddy man man1"]),
 ];
-
-/// The command line with the examples at the end of each command's long help.
-pub(super) fn added(command: Command) -> Command {
-    EXAMPLES.iter().fold(command, |command, (path, lines)| {
-        let words: Vec<_> = path.split(' ').collect();
-        let lines: Vec<String> = lines.iter().map(|line| wrapped(line)).collect();
-        under(command, &words, &format!("Examples:\n  {}", lines.join("\n  ")))
-    })
-}
-
-/// A command for a terminal of 80 columns, continued with `\` as in a shell.
-fn wrapped(line: &str) -> String {
-    /// Columns without the indentation and the backslash.
-    const COLUMNS: usize = 74;
-    let (mut text, mut length) = (String::new(), 0);
-    for word in line.split(' ') {
-        if length > 0 && length + 1 + word.len() > COLUMNS {
-            text.push_str(" \\\n     ");
-            length = 4;
-        }
-        if length > 0 {
-            text.push(' ');
-        }
-        text.push_str(word);
-        length += 1 + word.len();
-    }
-    text
-}
-
-fn under(command: Command, path: &[&str], text: &str) -> Command {
-    match path {
-        [] => command.after_long_help(text.to_owned()),
-        [first, rest @ ..] => command.mut_subcommand(first, |inner| under(inner, rest, text)),
-    }
-}

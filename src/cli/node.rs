@@ -1,11 +1,11 @@
-//! `eddy node`, and how the operating system treats its process.
+//! `eddy node`: links, settings, and how the node shows itself.
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 
-use super::{Device, RosArgs};
-use crate::commands::real_time::CpuList;
+use super::RosArgs;
+use eddy_cli::{Device, RealTimeArgs};
 use eddy_node::surrogate::NodeOptions;
 use eddy_transport::{Link, ListenAddress, Reliability};
 
@@ -62,19 +62,4 @@ pub struct NodeArgs {
     pub real_time: RealTimeArgs,
     #[command(flatten)]
     pub ros: RosArgs,
-}
-
-/// How the operating system treats a process.
-#[derive(Debug, Args)]
-pub struct RealTimeArgs {
-    /// Run on these processors only, for example 2,3 or 4-7.
-    #[arg(long, value_name = "LIST", value_parser = CpuList::parse)]
-    pub cpu: Option<CpuList>,
-    /// Run all threads with this real-time priority (SCHED_FIFO), 1 to 99: before all ordinary processes. Requires the right
-    /// to do so.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
-    pub priority: Option<u8>,
-    /// Keep all memory in RAM: nothing is swapped out. Requires the right to do so.
-    #[arg(long)]
-    pub lock_memory: bool,
 }

@@ -39,7 +39,7 @@ pub struct TopicListArgs {
     #[arg(long, short = 't', hide = true)]
     pub show_types: bool,
     /// Search time (s).
-    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = super::values::seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = eddy_cli::values::seconds)]
     pub wait: f64,
 }
 
@@ -79,6 +79,6 @@ pub struct TopicHzArgs {
     #[arg(long, short, value_name = "N", default_value = "10000")]
     pub window: NonZeroUsize,
     /// Stop this time after the start, also if the topic is not published (s) [default: at SIGINT or SIGTERM].
-    #[arg(long, value_name = "SECONDS", value_parser = super::values::seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = eddy_cli::values::seconds)]
     pub duration: Option<f64>,
 }

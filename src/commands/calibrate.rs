@@ -4,8 +4,9 @@ use std::num::NonZeroUsize;
 
 use anyhow::{Context as _, ensure};
 
-use super::{Interrupt, TerminalProgress, counted, output, streams, surrogate};
-use crate::{cli::CalibrateArgs, terminal};
+use super::{counted, streams, surrogate};
+use crate::cli::CalibrateArgs;
+use eddy_cli::{Interrupt, TerminalProgress, on_disk, terminal};
 use eddy_evaluation::{Calibration, CalibrationRequest, Reliability};
 use eddy_inference::{checkpoint::Checkpoint, error_model::ERROR_MODEL_FILE};
 use eddy_settings::ensure_usage;
@@ -14,7 +15,7 @@ use eddy_settings::ensure_usage;
 pub fn run(args: &CalibrateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     ensure_usage!(args.horizon > 0, "--horizon: found 0, expected at least 1 frame");
     ensure_usage!(args.starts > 0, "--starts: found 0, expected at least 1 per stream");
-    output::on_disk(&args.checkpoint)?;
+    on_disk(&args.checkpoint)?;
     let file = args.checkpoint.join(ERROR_MODEL_FILE);
     ensure!(
         args.force || !file.exists(),

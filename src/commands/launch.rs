@@ -4,8 +4,8 @@ use std::io::{self, Write as _};
 
 use anyhow::Context;
 
-use super::Interrupt;
 use crate::cli::LaunchArgs;
+use eddy_cli::Interrupt;
 use eddy_node::launch::{OutputLine, Plan, supervise};
 use eddy_settings as config;
 

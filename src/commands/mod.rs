@@ -6,13 +6,10 @@ pub mod completions;
 pub mod demo;
 pub mod devices;
 pub mod eval;
-pub mod lab;
 pub mod launch;
 pub mod node;
 pub mod param;
-pub mod plan;
 pub mod predict;
-pub mod real_time;
 pub mod record;
 pub mod replay;
 pub mod service;
@@ -20,18 +17,12 @@ pub mod simulate;
 pub mod topic;
 pub mod train;
 
-mod allocator;
-mod interrupt;
 mod keyboard;
-mod output;
-mod progress;
 mod search;
 mod streams;
 mod surrogate;
 
 pub(crate) use eddy_frames::counted;
-pub use interrupt::Interrupt;
-pub(crate) use progress::TerminalProgress;
 
 use std::{collections::BTreeSet, path::Path, thread, time::Duration};
 
@@ -41,6 +32,7 @@ use eddy_bag::{
     custom_data::{CustomData, check_entry},
     read_qos_overrides,
 };
+use eddy_cli::{Interrupt, terminal};
 use eddy_frames::clock::Clock;
 use eddy_messages::{Log, Message as _};
 use eddy_node::{
@@ -49,9 +41,6 @@ use eddy_node::{
 };
 use eddy_settings::usage::Usage;
 use eddy_transport::{Link, Publisher, PublisherOptions, Reliability, TransportKind, Transports};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-
-use crate::terminal;
 
 /// Rejects links that no other process can use.
 pub(crate) fn leaves_the_process(link: &Link) -> anyhow::Result<()> {
@@ -154,17 +143,4 @@ pub(crate) fn announce_page(page: &LivePage) {
     println!("page:   {}", page.announcement());
     // A program that starts this one may wait for the line.
     terminal::flush();
-}
-
-/// A progress bar with the time left; hidden without a terminal or when `quiet`.
-pub(crate) fn progress_bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
-    let bar = if quiet {
-        ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden())
-    } else {
-        ProgressBar::new(length)
-    };
-    // What a narrow terminal leaves beside the numbers and a message.
-    let width = terminal::columns().saturating_sub(64).clamp(10, 30);
-    let template = format!("{{bar:{width}}} {{pos}}/{{len}} {unit}, {{eta}} left  {{wide_msg}}");
-    bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

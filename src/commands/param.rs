@@ -4,11 +4,9 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 
-use super::{
-    Interrupt,
-    service::{has_services, search_services},
-};
+use super::service::{has_services, search_services};
 use crate::cli::{ParamArgs, ParamCommand};
+use eddy_cli::Interrupt;
 use eddy_messages::services::Parameter;
 use eddy_node::clients::{ParameterClient, nodes_with_parameters, parse_value, value_text};
 use eddy_settings::usage::Usage;

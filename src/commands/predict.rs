@@ -4,14 +4,10 @@ use std::{path::Path, time::Duration};
 
 use anyhow::{anyhow, bail};
 
-use super::{
-    Interrupt,
-    node::summary,
-    output::{Output, OutputKind},
-    streams, surrogate,
-};
+use super::{node::summary, streams, surrogate};
 use crate::cli::PredictArgs;
 use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions};
+use eddy_cli::{Interrupt, Output, OutputKind};
 use eddy_evaluation::{EvaluationError, dataset};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};

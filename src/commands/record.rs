@@ -10,15 +10,13 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
-use super::{
-    Interrupt, checked_custom_data, counted, has_no_parameters, leaves_the_process,
-    output::{Output, OutputKind, unused},
-};
+use super::{checked_custom_data, counted, has_no_parameters, leaves_the_process};
 use crate::cli::RecordArgs;
 use eddy_bag::{
     BagSummary, BagWriter, Split, TopicFilter, WriterOptions, WrittenTopic,
     custom_data::{TOPICS_NOT_RECORDED, TOPICS_RECORDED_IN_PART},
 };
+use eddy_cli::{Interrupt, Output, OutputKind, unused};
 use eddy_frames::{
     clock::{self, Clock},
     date::Utc,

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::bail;
 
-use super::Interrupt;
+use eddy_cli::Interrupt;
 use eddy_frames::clock::Clock;
 use eddy_transport::{TransportError, TransportKind};
 

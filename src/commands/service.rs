@@ -5,10 +5,11 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::{
-    Interrupt, leaves_the_process,
+    leaves_the_process,
     search::{Found, search},
 };
 use crate::cli::{SearchArgs, ServiceArgs, ServiceCallArgs, ServiceCommand, ServiceListArgs};
+use eddy_cli::Interrupt;
 use eddy_node::clients::{Definitions, ServiceClient, find_service};
 use eddy_settings::ensure_usage;
 use eddy_transport::{Link, TransportError, TransportKind, TransportOptions, Transports};

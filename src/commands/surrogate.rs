@@ -3,12 +3,11 @@
 use std::{num::NonZeroUsize, path::Path};
 
 use anyhow::Context;
+use eddy_cli::Device;
 use eddy_inference::{
     checkpoint::Checkpoint,
     engine::{ModelError, Surrogate},
 };
-
-use crate::cli::Device;
 
 /// The surrogate of the checkpoint at `path`, or of the shipped particle model; one thread per core by default. On a GPU, the
 /// threads copy frames.

@@ -3,6 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use eddy_cli::{
+    Interrupt, Output, OutputKind, TerminalProgress, keep_freed_memory, on_disk, progress_bar,
+    terminal,
+};
 use eddy_evaluation::{
     dataset::{Dataset, LoadOptions, Trajectory, available_memory},
     page::{Table, command_line},
@@ -20,15 +24,8 @@ use eddy_learning::{
 use eddy_settings::{Overrides, ensure_usage, usage::Usage};
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 
-use super::{
-    Interrupt, TerminalProgress, allocator, counted,
-    output::{self, Output, OutputKind},
-    progress_bar, streams,
-};
-use crate::{
-    cli::{DEFAULT_HORIZON, TrainArgs},
-    terminal,
-};
+use super::{counted, streams};
+use crate::cli::{DEFAULT_HORIZON, TrainArgs};
 
 /// Bytes of a GiB.
 const GIB: f64 = (1u64 << 30) as f64;
@@ -40,10 +37,10 @@ const BAR_DELAY: f64 = 2.0;
 /// run per seed in a directory there.
 #[expect(clippy::too_many_lines, reason = "the command from its arguments to its report")]
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    allocator::keep_freed_memory();
+    keep_freed_memory();
     let start = args.from.as_deref().map(Checkpoint::load).transpose()?;
     let config = settings(&args, start.as_ref())?;
-    output::on_disk(&args.output)?;
+    on_disk(&args.output)?;
     let runs = runs(&args, &config)?;
     let replaced = outputs(&args, &runs)?;
     let device = device(&args, &config)?;

@@ -204,8 +204,6 @@ fn wrong_usage_is_exit_code_2() {
         ("bag render b --output x.gif --rate -1", &["'-1'", "--rate"]),
         ("bag cut b --duration 0 --output o", &["'0'", "--duration"]),
         ("bag export a b --cloud", &["--cloud: found 2 bags"]),
-        ("bench node --seconds 0", &["seconds: found 0"]),
-        ("bench solver --particles 5", &["particles: found 5"]),
         ("topic hz /a --duration -3", &["'-3'", "--duration"]),
         ("topic echo memory:/a", &["memory links stay within one process"]),
     ] {

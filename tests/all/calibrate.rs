@@ -61,7 +61,7 @@ fn a_calibrated_checkpoint_shows_in_evaluations_how_well_its_estimates_hold() {
     // The last rollout of each scene ends before its fifth frame.
     let estimates: Vec<_> = found.iter().map(|at| at["estimates"].as_u64().unwrap()).collect();
     assert_eq!(estimates, [30, 30, 20, 20, 20]);
-    crate::eval::is_a_page_of_its_own(
+    crate::support::is_a_page_of_its_own(
         &fs::read_to_string(world.path("report/report.html")).unwrap(),
     );
 

@@ -7,12 +7,13 @@ use eddy_evaluation::{
     dataset::{self, LoadOptions, Trajectory},
     page::Provenance,
 };
-use eddy_inference::checkpoint::{Checkpoint, Core, Description, Rules};
-use eddy_lab::bench::inference::Case;
+use eddy_inference::checkpoint::{
+    Architecture, Checkpoint, Core, Description, Rules, Sizes, initial_weights,
+};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{fail, simulate, succeed};
+use crate::support::{fail, is_a_page_of_its_own, simulate, succeed};
 
 const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru");
 
@@ -28,38 +29,6 @@ fn report(folder: &TempDir) -> Value {
 fn names(report: &Value) -> Vec<&str> {
     let predictors = report["predictors"].as_array().unwrap();
     predictors.iter().map(|predictor| predictor["name"].as_str().unwrap()).collect()
-}
-
-/// A page is whole, its tags are closed, and it asks nobody for anything.
-pub fn is_a_page_of_its_own(html: &str) {
-    for word in ["http://", "https://", "@import", "url(", "<link", "<iframe", "srcset", "fetch("] {
-        assert!(!html.contains(word), "found {word}");
-    }
-    // One script of its own, without which the page is complete.
-    let (before, script) = html.split_once("<script>").unwrap();
-    let (_, after) = script.split_once("</script>").unwrap();
-    let html = &format!("{before}{after}");
-    assert!(!html.contains("<script"));
-    assert_eq!(html.matches("src=").count(), html.matches("src=\"data:").count());
-    assert!(!html.contains("NaN") && !html.contains("inf "), "numbers that are none");
-    let mut open = Vec::new();
-    let rest = html.strip_prefix("<!DOCTYPE html>").unwrap();
-    for tag in rest.split('<').skip(1) {
-        let (tag, _) = tag.split_once('>').unwrap();
-        let name = tag.trim_start_matches('/').split([' ', '\n', '/']).next().unwrap();
-        match tag.starts_with('/') {
-            true => assert_eq!(open.pop(), Some(name), "</{name}>"),
-            // Those have no end.
-            false if ["meta", "img"].contains(&name) || tag.ends_with('/') => {}
-            false => open.push(name),
-        }
-    }
-    assert!(open.is_empty(), "not closed: {open:?}");
-    // Where links lead to is there.
-    for link in html.split("href=\"#").skip(1) {
-        let (target, _) = link.split_once('"').unwrap();
-        assert!(html.contains(&format!("id=\"{target}\"")), "{target}");
-    }
 }
 
 /// The shipped checkpoint, changed, under another name.
@@ -343,7 +312,10 @@ fn data_that_a_checkpoint_was_not_made_for_is_refused_before_anything_is_predict
     let slower = changed(&folder, "slower", |description| description.dt = 0.02);
     let wider = changed(&folder, "wider", |description| description.domain.upper = [2.0; 2]);
     let barren = changed(&folder, "barren", |description| description.materials.truncate(1));
-    Case::frame(Core::Mlp, 10).checkpoint.save(&folder.path().join("few")).unwrap();
+    let sizes = Sizes { encoder: 8, hidden: 16, layers: 1, particles: Some(10) };
+    let few = Description::untrained(Architecture::Frame, Core::Mlp, sizes);
+    let few = Checkpoint::new(few.clone(), initial_weights(&few, 1));
+    few.save(&folder.path().join("few")).unwrap();
     let few = path(&folder, "few");
 
     for (checkpoint, words) in [

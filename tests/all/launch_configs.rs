@@ -1,5 +1,5 @@
-//! Runs the files in `launch_configs/`; `scenes.rs` runs those in `launch_configs/scenes`, and `tests/cluster/run`
-//! those in `launch_configs/cluster`.
+//! Runs the files in `launch_configs/`; `scenes.rs` runs those in `launch_configs/scenes`, the tests of `eddy-lab` those in
+//! `launch_configs/study`, and `tests/cluster/run` those in `launch_configs/cluster`.
 
 use std::{collections::BTreeSet, fs, os::unix::fs::symlink, path::Path};
 
@@ -55,7 +55,6 @@ files! {
     any_stiffness_is_trained_on_longer_rollouts_with_its_settings: "train/conditioned_long.toml" => |name| {
         train_particles(name, &["--from", "checkpoints/particle-mingru-conditioned"]);
     },
-    the_paper_s_study_begins_with_its_settings: "study/two_cores.toml" => study,
     replay_node_and_record_run_from_one_file: "launch/replay_node_record.toml" => |name| {
         launch(name, "-", "launched", &[("/particles", 20), ("/prediction", 10)]);
     },
@@ -88,17 +87,6 @@ fn node(name: &str) {
     let mut node = Process::start_until(&mut command, "predicting shm:");
     node.interrupt();
     assert!(node.wait().success());
-}
-
-/// Interrupts the study during its simulation; the whole study would take an hour.
-fn study(name: &str) {
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = talking_eddy();
-    command.args(["study", "cores", "--paper", "--config", &file(name)]);
-    command.args(["--output", folder.path().to_str().unwrap()]);
-    let mut study = Process::start_until(&mut command, "eddy simulate --preset fluid --scenes 60");
-    study.interrupt();
-    assert!(!study.wait().success());
 }
 
 /// Begins a training on a small bag.
@@ -183,7 +171,8 @@ fn every_file_is_run_by_a_test() {
         let entries = fs::read_dir(file(folder)).unwrap();
         entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
     };
-    let folders = names("").into_iter().filter(|name| !["cluster", "scenes"].contains(&&**name));
+    let folders =
+        names("").into_iter().filter(|name| !["cluster", "scenes", "study"].contains(&&**name));
     let in_folder = |folder: String| {
         let files = names(&folder).into_iter();
         files.map(move |name| format!("{folder}/{name}")).collect::<Vec<_>>()

@@ -2,12 +2,13 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 #![expect(clippy::disallowed_methods, reason = "tests wait for other processes, with deadlines")]
 
+use std::path::PathBuf;
+
 mod bad_input;
 mod bag_commands;
 #[expect(dead_code, reason = "the tests of eddy-bag use the rest")]
 #[path = "../../crates/bag/tests/bag/support.rs"]
 mod bags;
-mod bench;
 mod book;
 mod calibrate;
 #[path = "../../crates/transport/tests/transport/client.rs"]
@@ -25,7 +26,6 @@ mod launch_configs;
 mod mpm;
 mod outputs;
 mod pipeline;
-mod plan;
 mod pty;
 mod pytorch;
 #[cfg(target_os = "linux")]
@@ -43,7 +43,6 @@ mod shm;
 mod stated;
 mod stiffness;
 mod stuck;
-mod study;
 mod support;
 mod terminal;
 mod topic;
@@ -51,3 +50,10 @@ mod train;
 mod unusable_frames;
 mod view;
 mod workspace;
+
+/// The program under test.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_eddy");
+/// Programs that pages of the documentation use.
+fn programs() -> [PathBuf; 1] {
+    [PathBuf::from(PROGRAM)]
+}

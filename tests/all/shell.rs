@@ -7,7 +7,7 @@ use std::{
     process::Command,
 };
 
-use crate::support::{eddy, fail, succeed};
+use crate::support::{commands, eddy, fail, succeed};
 
 /// What bash offers after `words`, whose last one is being typed.
 fn completed(words: &[&str]) -> Vec<String> {
@@ -24,30 +24,6 @@ fn completed(words: &[&str]) -> Vec<String> {
     String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect()
 }
 
-/// The commands below `path`, as its help lists them.
-fn listed(path: &[&str]) -> Vec<String> {
-    let help = succeed(path.iter().copied().chain(["--help"]));
-    let Some((_, list)) = help.split_once("\nCommands:\n") else { return Vec::new() };
-    let names = list.lines().take_while(|line| line.starts_with("  "));
-    let names = names.filter(|line| !line.starts_with("   "));
-    let names = names.filter_map(|line| line.split_whitespace().next());
-    names.filter(|name| *name != "help").map(str::to_owned).collect()
-}
-
-/// Every command with its words, those that only hold others too.
-pub(crate) fn commands() -> BTreeSet<Vec<String>> {
-    let mut all = BTreeSet::new();
-    let mut open = vec![Vec::new()];
-    while let Some(path) = open.pop() {
-        let words: Vec<_> = path.iter().map(String::as_str).collect();
-        for name in listed(&words) {
-            open.push([path.as_slice(), &[name]].concat());
-        }
-        all.insert(path);
-    }
-    all
-}
-
 #[test]
 fn bash_completes_commands_options_and_values() {
     assert_eq!(completed(&["eddy", "sim"]), ["simulate"]);
@@ -55,6 +31,24 @@ fn bash_completes_commands_options_and_values() {
     assert_eq!(completed(&["eddy", "node", "--hor"]), ["--horizon"]);
     assert_eq!(completed(&["eddy", "train", "--core", "min"]), ["minlstm", "mingru"]);
     assert_eq!(completed(&["eddy", "simulate", "--preset", "snow"]), ["snowball"]);
+}
+
+#[test]
+fn what_has_moved_to_the_laboratory_is_said_and_offered_nowhere() {
+    for (typed, word) in [
+        ("bench solver --threads 2", "bench"),
+        ("--log-level error study cores --output reports/study", "study"),
+        ("plan list plan.json --arrays", "plan"),
+        ("help plan", "plan"),
+    ] {
+        let said = fail(2, typed.split(' '));
+        let expected =
+            format!("{word} is a command of the program eddy-lab: `eddy-lab {word} ...`");
+        assert_eq!(said, format!("eddy: {expected}\n"), "{typed}");
+    }
+    for offered in [succeed(["--help"]), succeed(["completions", "bash"])] {
+        assert!(!offered.contains("bench") && !offered.contains("study"), "{offered}");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
-//! The program as its users run it, with everything it needs for itself: folders, ports, topics.
+//! A program as its users run it, with everything it needs for itself: folders, ports, topics.
 
 use std::{
+    collections::BTreeSet,
     io::{BufRead as _, BufReader},
     net::TcpListener,
     path::{Path, PathBuf},
@@ -25,7 +26,7 @@ use tempfile::TempDir;
 /// No test waits longer for anything.
 pub const DEADLINE: Duration = Duration::from_secs(120);
 
-/// The program.
+/// The program under test, `crate::PROGRAM`.
 pub fn eddy() -> Command {
     let mut command = talking_eddy();
     command.arg("--quiet");
@@ -34,7 +35,7 @@ pub fn eddy() -> Command {
 
 /// The program as it talks.
 pub fn talking_eddy() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_eddy"));
+    let mut command = Command::new(crate::PROGRAM);
     command.stdin(Stdio::null());
     command
 }
@@ -342,4 +343,77 @@ pub fn entries(directory: &Path) -> Vec<String> {
     let mut names: Vec<String> = names.map(|name| name.into_string().unwrap()).collect();
     names.sort();
     names
+}
+
+/// A page is whole, its tags are closed, and it asks nobody for anything.
+pub fn is_a_page_of_its_own(html: &str) {
+    for word in ["http://", "https://", "@import", "url(", "<link", "<iframe", "srcset", "fetch("] {
+        assert!(!html.contains(word), "found {word}");
+    }
+    // One script of its own, without which the page is complete.
+    let (before, script) = html.split_once("<script>").unwrap();
+    let (_, after) = script.split_once("</script>").unwrap();
+    let html = &format!("{before}{after}");
+    assert!(!html.contains("<script"));
+    assert_eq!(html.matches("src=").count(), html.matches("src=\"data:").count());
+    assert!(!html.contains("NaN") && !html.contains("inf "), "numbers that are none");
+    let mut open = Vec::new();
+    let rest = html.strip_prefix("<!DOCTYPE html>").unwrap();
+    for tag in rest.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').unwrap();
+        let name = tag.trim_start_matches('/').split([' ', '\n', '/']).next().unwrap();
+        match tag.starts_with('/') {
+            true => assert_eq!(open.pop(), Some(name), "</{name}>"),
+            // Those have no end.
+            false if ["meta", "img"].contains(&name) || tag.ends_with('/') => {}
+            false => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "not closed: {open:?}");
+    // Where links lead to is there.
+    for link in html.split("href=\"#").skip(1) {
+        let (target, _) = link.split_once('"').unwrap();
+        assert!(html.contains(&format!("id=\"{target}\"")), "{target}");
+    }
+}
+
+/// The commands below `path`, as its help lists them.
+fn listed(path: &[&str]) -> Vec<String> {
+    let help = succeed(path.iter().copied().chain(["--help"]));
+    let Some((_, list)) = help.split_once("\nCommands:\n") else { return Vec::new() };
+    let names = list.lines().take_while(|line| line.starts_with("  "));
+    let names = names.filter(|line| !line.starts_with("   "));
+    let names = names.filter_map(|line| line.split_whitespace().next());
+    names.filter(|name| *name != "help").map(str::to_owned).collect()
+}
+
+/// Every command with its words, those that only hold others too.
+pub fn commands() -> BTreeSet<Vec<String>> {
+    let mut all = BTreeSet::new();
+    let mut open = vec![Vec::new()];
+    while let Some(path) = open.pop() {
+        let words: Vec<_> = path.iter().map(String::as_str).collect();
+        for name in listed(&words) {
+            open.push([path.as_slice(), &[name]].concat());
+        }
+        all.insert(path);
+    }
+    all
+}
+
+/// Every help lists global options apart, and uses the same names for the same things.
+pub fn helps_list_global_options_apart() {
+    for command in commands() {
+        let words = command.iter().map(String::as_str);
+        for option in ["-h", "--help"] {
+            let help = succeed(words.clone().chain([option]));
+            assert!(!help.contains("[`") && !help.contains("]("), "{command:?}: a rustdoc link");
+            let (_, global) = help.split_once("\nGlobal options:\n").unwrap();
+            assert!(global.contains("--quiet") && global.contains("--log-level"), "{help}");
+            // Names of one thing: a directory, a number.
+            for other in ["<OUTPUT>", "<DIRECTORY>", "<FOLDER>", "<HERTZ>", "<PARTICLES>"] {
+                assert!(!help.contains(other), "{command:?}: {other}");
+            }
+        }
+    }
 }

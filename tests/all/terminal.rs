@@ -10,8 +10,9 @@ use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString};
 
 use crate::{
     pty::{OnTerminal, lines},
-    shell,
-    support::{World, simulate, succeed, talking_eddy, unique, wait_for, word},
+    support::{
+        World, helps_list_global_options_apart, simulate, talking_eddy, unique, wait_for, word,
+    },
 };
 
 const SAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bags/sample");
@@ -45,7 +46,6 @@ fn a_pipe_that_has_closed_is_no_failure() {
         &["man", &man],
         &[&eval[..], &rest].concat(),
         &["eval", "--compare", &report, &report],
-        &["bench", "solver", "--particles", "1000", "--threads", "1", "--seconds", "0.01"],
         // Without its warning that there is none.
         &["topic", "list", "--from", "shm", "--wait", "0", "--log-level", "error"],
     ];
@@ -99,19 +99,7 @@ fn help_fits_the_terminal_and_lists_global_options_apart() {
             assert!(line.chars().count() <= most, "{words}: {line}");
         }
     }
-    for command in shell::commands() {
-        let words = command.iter().map(String::as_str);
-        for option in ["-h", "--help"] {
-            let help = succeed(words.clone().chain([option]));
-            assert!(!help.contains("[`") && !help.contains("]("), "{command:?}: a rustdoc link");
-            let (_, global) = help.split_once("\nGlobal options:\n").unwrap();
-            assert!(global.contains("--quiet") && global.contains("--log-level"), "{help}");
-            // Names of one thing: a directory, a number.
-            for other in ["<OUTPUT>", "<DIRECTORY>", "<FOLDER>", "<HERTZ>", "<PARTICLES>"] {
-                assert!(!help.contains(other), "{command:?}: {other}");
-            }
-        }
-    }
+    helps_list_global_options_apart();
 }
 
 #[test]

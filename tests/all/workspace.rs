@@ -56,6 +56,9 @@ const WITHOUT: [(&str, &[&str]); 6] = [
     ("eddy-threads", &["eddy-frames", "rayon", "tracing"]),
 ];
 
+/// Packages that are programs.
+const PROGRAMS: [&str; 2] = ["eddy", "eddy-lab"];
+
 /// Pages and pictures that guide through the source.
 const GUIDES: [&str; 5] = [
     "CONTRIBUTING.md",
@@ -165,14 +168,31 @@ fn middleware_stays_in_its_file_of_the_transport() {
 }
 
 #[test]
-fn nothing_depends_on_the_program_and_only_the_program_on_the_lab() {
+fn nothing_depends_on_a_program_and_only_the_programs_on_the_command_line() {
     for (package, dependencies) in dependencies() {
-        assert!(!dependencies.contains("eddy"), "{package} depends on the program");
+        let is_program = PROGRAMS.contains(&package.as_str());
+        for name in PROGRAMS {
+            assert!(!dependencies.contains(name), "{package} depends on the program {name}");
+        }
         assert!(
-            package == "eddy" || !dependencies.contains("eddy-lab"),
-            "{package} depends on the lab"
+            is_program || !dependencies.contains("eddy-cli"),
+            "{package} depends on the command line"
         );
     }
+}
+
+#[test]
+fn everything_but_the_laboratory_is_built_by_default() {
+    let manifest = manifest(root());
+    let built = manifest["workspace"]["default-members"].as_array().unwrap();
+    let built: BTreeSet<_> =
+        built.iter().map(|member| member.as_str().unwrap().to_owned()).collect();
+    let folders = fs::read_dir(root().join("crates")).unwrap();
+    let names = folders.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let others = names.filter(|name| !["lab", "plan"].contains(&name.as_str()));
+    let all: BTreeSet<_> =
+        others.map(|name| format!("crates/{name}")).chain([".".to_owned()]).collect();
+    assert_eq!(built, all);
 }
 
 #[test]

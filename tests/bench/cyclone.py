@@ -3,7 +3,7 @@
     pip install -r tests/peers/requirements.txt
     python tests/bench/cyclone.py [PARTICLES...]        (default: 2500 10000)
 
-For comparison with `eddy bench transport --transport dds`: reliable, on the loopback interface, one message per millisecond, timed from before
+For comparison with `eddy-lab bench transport --transport dds`: reliable, on the loopback interface, one message per millisecond, timed from before
 the write until after the take; the reader sleeps until it is notified. The payload is a string, so that Python's
 conversion of numbers is not timed. Prints median and 99th percentile (us) of 500 messages of each size.
 """

@@ -7,13 +7,13 @@
 #   tests/bench/latency.sh SECONDS --at-once CPUS CPUS CPUS CPUS
 #                                                the four at the same time, each on processors of its own, such as 8,9
 #
-# EDDY is the program (default: target/release/eddy). Needs the rights that `eddy node --help` names; nothing else should
+# EDDY_LAB is the program (default: target/release/eddy-lab). Needs the rights that `eddy node --help` names; nothing else should
 # run on these processors. Source, node and reader are threads of one process, so that the options apply to all of them.
 # Ends with 1 if one of the four could not be measured.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 seconds=${1:-600}
-eddy=${EDDY:-target/release/eddy}
+eddy_lab=${EDDY_LAB:-target/release/eddy-lab}
 work=$(mktemp -d)
 started=()
 finish() {
@@ -43,7 +43,7 @@ measure() {
     local name=$1 cpus=$2 log
     shift 2
     log=$(mktemp -p "$work")
-    if taskset --cpu-list "$cpus" "$eddy" bench "$@" node --streams 1 --hertz 62.5 --seconds "$seconds" > "$log" 2>&1; then
+    if taskset --cpu-list "$cpus" "$eddy_lab" bench "$@" node --streams 1 --hertz 62.5 --seconds "$seconds" > "$log" 2>&1; then
         printf '== %s, processors %s\n%s\n' "$name" "$cpus" "$(grep -E 'ms|publication|frames' "$log")"
     else
         printf '== %s, processors %s: not measured\n%s\n' "$name" "$cpus" "$(cat "$log")"

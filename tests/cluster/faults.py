@@ -19,13 +19,13 @@ case "$*" in
     "plan run "*" --task 3")
         echo attempt >>"{folder}/attempts"
         if [ "$(wc -l <"{folder}/attempts")" -le 2 ]; then
-            timeout --signal=KILL 0.3 "{eddy}" "$@"
+            timeout --signal=KILL 0.3 "{lab}" "$@"
             echo "this attempt was made to fail" >&2
             exit 1
         fi
         ;;
 esac
-exec "{eddy}" "$@"
+exec "{lab}" "$@"
 """
 
 
@@ -34,13 +34,13 @@ NOTING = """#!/bin/sh
 case "$*" in
     "plan run "*)
         echo "begin $(hostname) ${{CUDA_VISIBLE_DEVICES:-none}} $5" >>"{folder}/notes"
-        "{eddy}" "$@"
+        "{lab}" "$@"
         code=$?
         echo "end $(hostname) ${{CUDA_VISIBLE_DEVICES:-none}} $5" >>"{folder}/notes"
         exit $code
         ;;
 esac
-exec "{eddy}" "$@"
+exec "{lab}" "$@"
 """
 # A study of seconds.
 STUDY = """
@@ -63,13 +63,14 @@ class Job:
         self.temporary = tempfile.TemporaryDirectory(prefix="eddy_plan_")
         self.folder = pathlib.Path(self.temporary.name)
         self.folder.chmod(0o755)
-        self.eddy = pathlib.Path(eddy).resolve()
+        eddy = pathlib.Path(eddy).resolve()
+        self.lab = eddy.with_name("eddy-lab")
         for name, text in files:
             (self.folder / name).write_text(text)
-        self.call(command, *words, "--output", "alone")
+        self.call(eddy if command == "simulate" else self.lab, command, *words, "--output", "alone")
         self.expected = contents(self.folder / "alone")
         self.plan = self.folder / "plan.json"
-        self.call("plan", command, str(self.plan), *words, "--output", "data")
+        self.call(self.lab, "plan", command, str(self.plan), *words, "--output", "data")
 
     @classmethod
     def scenes(cls, eddy, count, duration=4.0):
@@ -81,12 +82,12 @@ class Job:
         """Scenes, four networks, their evaluation, times, a report."""
         return cls(eddy, "study", ["cores", "--quick", "--config", "study.toml"], [("study.toml", STUDY)])
 
-    def call(self, *words):
-        subprocess.run([self.eddy, "--quiet", *words], cwd=self.folder, check=True, stdout=subprocess.DEVNULL)
+    def call(self, program, *words):
+        subprocess.run([program, "--quiet", *words], cwd=self.folder, check=True, stdout=subprocess.DEVNULL)
 
     def script(self, name, text):
         file = self.folder / name
-        file.write_text(text.format(folder=self.folder, eddy=self.eddy))
+        file.write_text(text.format(folder=self.folder, lab=self.lab))
         file.chmod(0o755)
         return file
 
@@ -110,7 +111,7 @@ class Job:
         self.plan.write_text(json.dumps(plan))
 
     def states(self):
-        listed = subprocess.run([self.eddy, "plan", "list", str(self.plan), "--json"], check=True, capture_output=True, text=True)
+        listed = subprocess.run([self.lab, "plan", "list", str(self.plan), "--json"], check=True, capture_output=True, text=True)
         return json.loads(listed.stdout)
 
     def done(self):
@@ -135,7 +136,7 @@ class Job:
                     words = (entry / "cmdline").read_bytes().decode().split("\0")
                 except OSError:
                     continue
-                if len(words) > 5 and words[:4] == [str(self.eddy), "plan", "run", str(self.plan)]:
+                if len(words) > 5 and words[:4] == [str(self.lab), "plan", "run", str(self.plan)]:
                     found.append((int(entry.name), words[5]))
         return found
 

@@ -9,6 +9,7 @@
 
 mod change;
 mod seeds;
+mod targets;
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -24,7 +25,7 @@ use std::{
 
 use change::Changer;
 use eddy_inference::checkpoint::Architecture;
-use eddy_lab::fuzzing::{TARGETS, Target};
+use targets::TARGETS;
 
 /// Memory that reading an input may take at the same time (bytes), and as a multiple of its length; of MCAP
 /// files, what zstd can make of a byte, twice.
@@ -95,26 +96,25 @@ fn setting(name: &str) -> Option<u64> {
 }
 
 /// Reads inputs and holds each to its bounds.
-struct Reader {
-    target: Target,
+struct Reader<'a> {
+    name: &'a str,
     last: PathBuf,
 }
 
-impl Reader {
-    fn new(name: &str) -> Self {
-        let target = *TARGETS.iter().find(|(target, _)| *target == name).unwrap();
+impl<'a> Reader<'a> {
+    fn new(name: &'a str) -> Self {
         let last = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("fuzz_{name}.last"));
-        Self { target, last }
+        Self { name, last }
     }
 
     fn read(&self, input: &[u8]) {
-        let (name, read) = self.target;
+        let name = self.name;
         fs::write(&self.last, input).unwrap();
         let before = USED.load(Ordering::Relaxed);
         MOST.store(before, Ordering::Relaxed);
         STARTED.store(now(), Ordering::Relaxed);
         let start = Instant::now();
-        read(input);
+        targets::read(name, input);
         STARTED.store(0, Ordering::Relaxed);
         let (took, last) = (start.elapsed(), self.last.display());
         assert!(took < PATIENCE, "{name}: {last} took {took:?}");

@@ -1,6 +1,6 @@
 """Compare eddy's solver with Taichi: time per substep and particle positions.
 
-`eddy bench solver --output` writes bags with the initial state and eddy's states after 20 and 200
+`eddy-lab bench solver --output` writes bags with the initial state and eddy's states after 20 and 200
 substeps. This script runs Taichi's mpm128 example from the same initial states. Runs alternate
 on the same number of threads. Prints a table: microseconds per substep (median of the rounds),
 the speed-up of eddy, and the largest difference of a coordinate after 20 and 200 substeps.
@@ -8,8 +8,8 @@ Exits with 1 if eddy is slower, or if a difference exceeds its tolerance at 2,50
 particles and finer cells, the largest difference grows.
 
     pip install -r tests/peers/requirements-bench.txt
-    cargo build --release
-    python tests/peers/taichi_solver.py target/release/eddy
+    cargo build --release -p eddy-lab
+    python tests/peers/taichi_solver.py target/release/eddy-lab
 """
 
 import argparse
@@ -34,7 +34,7 @@ TOLERANCE = {20: 1e-6, 200: 1e-5}
 
 
 def eddy(program, particles, threads, seconds, output=None):
-    """Run `eddy bench solver` and return its report."""
+    """Run `eddy-lab bench solver` and return its report."""
     command = [program, "--quiet", "bench", "solver", "--law", "taichi", "--json"]
     command += ["--particles", str(particles), "--threads", str(threads), "--seconds", str(seconds)]
     command += ["--output", output] if output else []
@@ -84,7 +84,7 @@ def compare(options, particles):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("program", help="the built eddy")
+    parser.add_argument("program", help="the built eddy-lab")
     parser.add_argument("--particles", type=int, nargs="+", default=[2500, 10000, 100000, 1000000])
     parser.add_argument("--threads", type=int, help="number of threads [default: 1, then 2]")
     parser.add_argument("--seconds", type=float, default=2.0, help="duration of a round")

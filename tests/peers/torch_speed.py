@@ -1,8 +1,8 @@
 """Compare the speed of eddy and PyTorch, alternating on the same two cores.
 
     pip install -r tests/peers/requirements-bench.txt
-    cargo build --release
-    python tests/peers/torch_speed.py target/release/eddy
+    cargo build --release -p eddy-lab
+    python tests/peers/torch_speed.py target/release/eddy-lab
 
 Units of work, f32, N = 2500, encoder 256, two layers of 1250:
 1. inference: one frame through the frame model, with carried state.
@@ -173,7 +173,7 @@ def milliseconds(step: Callable[[], None], seconds: float) -> float:
 
 
 def eddy(program: str, case: Case, seconds: float) -> float:
-    """Time (ms) from `eddy bench`."""
+    """Time (ms) from `eddy-lab bench`."""
     if case.what == "inference":
         arguments = ["inference", "--core", case.core, "--threads", str(THREADS), "--engine-only"]
     else:
@@ -249,7 +249,7 @@ def ratios(timings: list[Timing]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("program", help="the built eddy")
+    parser.add_argument("program", help="the built eddy-lab")
     parser.add_argument("--what", choices=WORK, help="run only these rows")
     parser.add_argument("--table4", action="store_true", help="print the paper's Table 4 instead")
     parser.add_argument("--quick", action="store_true", help="one round of one second")

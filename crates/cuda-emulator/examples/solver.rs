@@ -44,7 +44,7 @@ fn threads() -> usize {
     thread::available_parallelism().map_or(1, NonZero::get)
 }
 
-/// Three blocks of liquid, snow and jelly that are thrown onto the floor of the unit square, as in `eddy bench solver`.
+/// Three blocks of liquid, snow and jelly that are thrown onto the floor of the unit square, as in `eddy-lab bench solver`.
 fn blocks(particles: usize, cells: u32) -> Result<Solver> {
     let grid = GridShape::unit(cells);
     let spacing = 0.5 * grid.dx;

@@ -44,7 +44,7 @@ pub enum PlanError {
         reason: io::Error,
     },
     /// There is no such task.
-    #[error("{}: --task: found {found}, expected a name from `eddy plan list`, or a number below {tasks}{hint}", file.display())]
+    #[error("{}: --task: found {found}, expected a name from `eddy-lab plan list`, or a number below {tasks}{hint}", file.display())]
     NoTask {
         /// The plan.
         file: PathBuf,

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::PlanError;
 
-/// How long to wait for a lock: `eddy plan list` holds it for a moment, and a killed process until its memory is freed.
+/// How long to wait for a lock: `eddy-lab plan list` holds it for a moment, and a killed process until its memory is freed.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Interval between two attempts.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Builds a Debian package of a built program: the program, its manual pages, completions, systemd unit, settings and
+# Builds a Debian package of built programs: `eddy`, `eddy-lab` beside it, manual pages, completions, systemd unit, settings and
 # message definitions.
 #
 #   docs/src/deploy/debian.sh target/release/eddy [FOLDER]     writes FOLDER/eddy_VERSION_ARCHITECTURE.deb [default: target/debian]
 #
-# The program is needed on the machine that it was built for or an older one: the package depends on the libraries that it links
-# with, in the versions found here. The same program gives the same bytes. Needs dpkg-dev.
+# The package is for the machine that it was built on or a newer one: it depends on the libraries that the programs link with, in the
+# versions found here. The same programs give the same bytes. Needs dpkg-dev.
 set -euo pipefail
 program=$(realpath "$1")
 root=$(cd "$(dirname "$0")/../../.." && pwd)
@@ -18,8 +18,10 @@ trap 'rm -rf "$work"' EXIT
 tree="$work/eddy"
 
 # The build id is a hash over symbol names, which rustc does not choose the same in every build.
-strip --remove-section=.note.gnu.build-id -o "$work/program" "$program"
-install -D "$work/program" "$tree/usr/bin/eddy"
+for name in eddy eddy-lab; do
+    strip --remove-section=.note.gnu.build-id -o "$work/$name" "$(dirname "$program")/$name"
+    install -D "$work/$name" "$tree/usr/bin/$name"
+done
 
 "$program" --quiet man "$work/man"
 install -d "$tree/usr/share/man/man1"
@@ -53,9 +55,9 @@ License: Apache-2.0 or MIT
  See LICENSE-APACHE and LICENSE-MIT in this folder.
 TEXT
 
-# The libraries that the program links with.
+# The libraries that the programs link with.
 install -d "$work/debian" && touch "$work/debian/control"
-depends=$(cd "$work" && dpkg-shlibdeps -O "$tree/usr/bin/eddy" | sed 's/^shlibs:Depends=//')
+depends=$(cd "$work" && dpkg-shlibdeps -O "$tree/usr/bin/eddy" "$tree/usr/bin/eddy-lab" | sed 's/^shlibs:Depends=//')
 size=$(du -sk "$tree" | cut -f1)
 install -d "$tree/DEBIAN"
 cat >"$tree/DEBIAN/control" <<TEXT

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Writes the software bill of materials of the program and of the Python package in CycloneDX's format: every crate that is compiled
+# Writes the software bill of materials of the programs and of the Python package in CycloneDX's format: every crate that is compiled
 # into them with the features of the build, with version, licence and checksum.
 #
-#   docs/src/deploy/sbom.sh [FOLDER]     writes FOLDER/eddy.cdx.json and FOLDER/eddy-python.cdx.json [default: target/sbom]
+#   docs/src/deploy/sbom.sh [FOLDER]     writes eddy.cdx.json, eddy-lab.cdx.json and eddy-python.cdx.json into FOLDER [default: target/sbom]
 #
 # Installs cargo-cyclonedx into a cache of the user's; needs Python 3. The same sources give the same bytes.
 set -euo pipefail
@@ -19,7 +19,7 @@ mkdir -p "$folder"
 # One date and no random serial number.
 export SOURCE_DATE_EPOCH="${SOURCE_DATE_EPOCH:-0}"
 target=x86_64-unknown-linux-gnu
-for crate in . python; do
+for crate in . crates/lab python; do
     name=$(sed -n 's/^name = "\(.*\)"/\1/p' "$work/$crate/Cargo.toml" | head -1)
     "$tools/bin/cargo-cyclonedx" cyclonedx --quiet --format json --target "$target" --override-filename "$name.cdx" \
         --manifest-path "$work/$crate/Cargo.toml"

@@ -5,8 +5,9 @@ use std::path::Path;
 use anyhow::bail;
 
 use super::survey;
-use crate::{commands::counted, terminal::on_one_line};
+use crate::commands::counted;
 use eddy_bag::{BagReader, Survey};
+use eddy_cli::terminal::on_one_line;
 
 /// Prints all problems of a bag.
 pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {

@@ -11,16 +11,13 @@ use anyhow::{Context, ensure};
 use super::{LOSSY, export::stem, report, watch, writer_options};
 use crate::{
     cli::{CloudArgs, CutArgs, ExportArgs, FilterArgs, MergeArgs, NewBagArgs},
-    commands::{
-        Interrupt, checked_custom_data,
-        output::{Output, OutputKind},
-        progress_bar,
-    },
+    commands::checked_custom_data,
 };
 use eddy_bag::{
     BagError, BagReader, BagSummary, BagTime, CopyOptions, Selection, TopicFilter, clouds,
     custom_data::LOSSES, extract, merge as merged, topics_without_cloud,
 };
+use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_frames::Stamp;
 use eddy_messages::{Message, ParticleFrame};
 use eddy_settings::{near, usage::Usage};

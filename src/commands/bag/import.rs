@@ -3,12 +3,9 @@
 use super::watch;
 use crate::{
     cli::ImportArgs,
-    commands::{
-        Interrupt, checked_custom_data, counted,
-        output::{Output, OutputKind},
-        progress_bar,
-    },
+    commands::{checked_custom_data, counted},
 };
+use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_exchange::{ImportOverrides, import};
 use eddy_frames::Domain;
 

@@ -8,8 +8,8 @@ use std::{
 use serde::Serialize;
 
 use super::survey;
-use crate::terminal::{self, on_one_line};
 use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
+use eddy_cli::terminal::{self, on_one_line};
 use eddy_evaluation::page::Table;
 use eddy_frames::{Stamp, date::Utc, decimal};
 

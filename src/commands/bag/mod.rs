@@ -13,9 +13,9 @@ use std::{collections::BTreeSet, path::PathBuf, process::ExitCode};
 
 use indicatif::ProgressBar;
 
-use super::{Interrupt, progress_bar};
 use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
+use eddy_cli::{Interrupt, progress_bar};
 use eddy_exchange::{ExchangeError, FrameSelection, Streams};
 
 /// Exit code when something of the old bags is missing in the new one, as in `mcap recover`.

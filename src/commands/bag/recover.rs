@@ -3,15 +3,9 @@
 use std::process::ExitCode;
 
 use super::{LOSSY, report, watch, watch_bytes, writer_options};
-use crate::{
-    cli::RecoverArgs,
-    commands::{
-        Interrupt, checked_custom_data,
-        output::{Output, OutputKind},
-        progress_bar,
-    },
-};
+use crate::{cli::RecoverArgs, commands::checked_custom_data};
 use eddy_bag::{CopyOptions, Recovery};
+use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 
 /// Copies what can be read of a bag.
 pub fn run(args: &RecoverArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<ExitCode> {

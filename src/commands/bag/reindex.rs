@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::{report, watch_bytes};
-use crate::commands::{Interrupt, progress_bar};
 use eddy_bag::{BagError, Recovery, Reindexing};
+use eddy_cli::{Interrupt, progress_bar};
 
 /// Rewrites metadata.yaml and adds missing summaries.
 pub fn run(path: &Path, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {

@@ -8,14 +8,8 @@ use std::{
 use anyhow::bail;
 
 use super::find_streams;
-use crate::{
-    cli::{Color, RenderArgs},
-    commands::{
-        Interrupt,
-        output::{Output, OutputKind},
-        progress_bar,
-    },
-};
+use crate::cli::{Color, RenderArgs};
+use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_evaluation::picture::{
     Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
 };

@@ -2,7 +2,8 @@
 
 use std::{sync::Arc, time::Duration};
 
-use crate::{commands::counted, terminal};
+use crate::commands::counted;
+use eddy_cli::terminal;
 use eddy_frames::Frame;
 use eddy_messages::PredictionStatus;
 use eddy_node::{

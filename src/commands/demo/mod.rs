@@ -22,15 +22,10 @@ use self::{
     scenes::{Scenes, Source},
     watch::{Printer, Recorded, Watch},
 };
-use super::{
-    Interrupt, TerminalProgress, announce_page,
-    eval::print_report,
-    node::summary,
-    output::{Output, OutputKind, unused},
-    surrogate,
-};
-use crate::cli::{DemoArgs, Device};
+use super::{announce_page, eval::print_report, node::summary, surrogate};
+use crate::cli::DemoArgs;
 use eddy_bag::{BagWriter, WriterOptions};
+use eddy_cli::{Device, Interrupt, Output, OutputKind, TerminalProgress, unused};
 use eddy_evaluation::{
     Settings,
     dataset::{self, LoadOptions},

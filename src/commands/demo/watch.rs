@@ -9,8 +9,8 @@ use std::{
 use anyhow::Context;
 
 use super::{SCENE, live::Live, scenes::name};
-use crate::terminal;
 use eddy_bag::{BagSummary, TopicId};
+use eddy_cli::terminal;
 use eddy_frames::clock::{self, Clock};
 use eddy_messages::{PredictionStatus, cdr};
 use eddy_node::Recorder;

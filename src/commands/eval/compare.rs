@@ -4,11 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 
-use crate::{
-    cli::EvalArgs,
-    commands::output::{Output, OutputKind},
-    terminal,
-};
+use crate::cli::EvalArgs;
+use eddy_cli::{Output, OutputKind, terminal};
 use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
 
 /// Prints a comparison of reports, and writes it to `output` as HTML.

@@ -10,15 +10,9 @@ use std::{num::NonZeroUsize, path::Path};
 use anyhow::{Context, ensure};
 use serde_json::json;
 
-use super::{
-    Interrupt, TerminalProgress, counted,
-    output::{Output, OutputKind},
-    streams, surrogate,
-};
-use crate::{
-    cli::{EvalArgs, ReferenceName},
-    terminal,
-};
+use super::{counted, streams, surrogate};
+use crate::cli::{EvalArgs, ReferenceName};
+use eddy_cli::{Interrupt, Output, OutputKind, TerminalProgress, terminal};
 use eddy_evaluation::{Evaluation, EvaluationRequest, Recorded, Reference, Report, Settings};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
 use eddy_settings::ensure_usage;

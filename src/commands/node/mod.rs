@@ -14,10 +14,9 @@ use std::{
 use anyhow::Context;
 use serde::{Deserialize, Deserializer, de::Error as _};
 
-use super::{
-    Interrupt, announce_page, counted, keyboard::Keyboard, publish_log, real_time, surrogate,
-};
-use crate::{cli::NodeArgs, terminal};
+use super::{announce_page, counted, keyboard::Keyboard, publish_log, surrogate};
+use crate::cli::NodeArgs;
+use eddy_cli::{Interrupt, terminal};
 use eddy_frames::FrameView;
 #[cfg(feature = "foxglove")]
 use eddy_messages::{DiagnosticArray, PointCloud2, PredictionStatus};
@@ -79,7 +78,7 @@ pub fn run(
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
     // Before the first thread starts: threads inherit all of this.
-    real_time::apply(&args.real_time)?;
+    args.real_time.apply()?;
     let (mut live, links) = open(&args, ros, interrupt)?;
     let renamed = links.renamed(ros);
     let on = renamed.all().map(|link| link.transport);

@@ -9,11 +9,12 @@ use anyhow::{Context as _, bail, ensure};
 use indicatif::{HumanCount, HumanDuration};
 
 use super::{
-    Interrupt, counted, has_no_parameters, keyboard::Keyboard, leaves_the_process, publish_log,
+    counted, has_no_parameters, keyboard::Keyboard, leaves_the_process, publish_log,
     wait_for_subscribers,
 };
-use crate::{cli::ReplayArgs, terminal};
+use crate::cli::ReplayArgs;
 use eddy_bag::{BagMessage, BagReader};
+use eddy_cli::{Interrupt, terminal};
 use eddy_frames::{Stamp, clock::Clock};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_node::{

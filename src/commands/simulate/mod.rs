@@ -1,32 +1,22 @@
 //! `eddy simulate`: ground truth as one bag per scene, as a live source, or both.
 //!
-//! 1. [`mod@source`]: scenes from a preset and a seed, or from a file.
+//! 1. [`SceneArgs`](eddy_cli::SceneArgs): scenes from a preset and a seed, or from a file.
 //! 2. [`eddy_evaluation::dataset::simulate`]: missing scenes, in parallel, each into a bag.
 //! 3. [`publish`]: scenes one after the other in real time.
 
 mod publish;
-pub(crate) mod source;
-
-use std::num::NonZeroUsize;
 
 use anyhow::bail;
 
-use super::{
-    Interrupt, TerminalProgress,
-    output::{Output, OutputKind},
-};
-use crate::cli::{Device, SceneArgs, SimulateArgs, Stiffness};
-use eddy_evaluation::dataset::simulate::{
-    Job, MOST_SCENES, SimulateError, SimulationRequest, Source,
-};
-use eddy_mpm::{Accelerator, Settings};
-use eddy_settings::usage::Usage;
+use crate::cli::SimulateArgs;
+use eddy_cli::{Interrupt, Output, OutputKind, TerminalProgress, with_usage};
+use eddy_evaluation::dataset::simulate::{Job, MOST_SCENES};
+use eddy_mpm::Accelerator;
 use eddy_storage::is_remote;
-use source::source;
 
 /// Simulates the scenes that do not exist yet.
 pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let request = request(&args.scenes, args.threads)?;
+    let request = args.scenes.request(args.threads)?;
     if let (Some(output), true) = (&args.output, args.force)
         && is_remote(output)
     {
@@ -55,7 +45,7 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
         );
     }
     // Before anything is written, and after what needs no device is checked.
-    let mut device = open(args.scenes.device)?;
+    let mut device = args.scenes.device.open_solver()?;
     let store = args.output.as_ref().map(|output| job.open_store(output)).transpose()?;
     let outcome = match (&args.publish, &store) {
         (Some(link), store) => publish::run(&job, link, &args, store.as_ref(), quiet, interrupt),
@@ -76,53 +66,4 @@ pub fn run(args: SimulateArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Re
     outcome?;
     room.into_iter().for_each(Output::replaced);
     Ok(())
-}
-
-/// The device of this name; `None` for the processor.
-fn open(device: Device) -> anyhow::Result<Option<Box<dyn Accelerator>>> {
-    match device {
-        Device::Cpu => Ok(None),
-        #[cfg(feature = "cuda")]
-        Device::Cuda(number) => Ok(Some(Box::new(eddy_cuda::open_solver(number.into())?))),
-    }
-}
-
-/// An invalid request is wrong usage: its numbers are all from the command line.
-pub(super) fn with_usage(error: impl Into<anyhow::Error>) -> anyhow::Error {
-    let error = error.into();
-    match error.downcast_ref() {
-        Some(SimulateError::Request { .. }) => Usage::new(format_args!("--{error}")).into(),
-        _ => error,
-    }
-}
-
-/// The request of the command line.
-pub(super) fn request(
-    args: &SceneArgs,
-    threads: Option<NonZeroUsize>,
-) -> anyhow::Result<SimulationRequest> {
-    let source = source(args)?;
-    let scene_name = match (&source, &args.scene) {
-        (_, Some(file)) => Some(file.display().to_string()),
-        (Source::Written(_), None) => Some(args.preset.clone()),
-        (Source::Random(_), None) => None,
-    };
-    let name = match &args.scene {
-        Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-        None => args.preset.clone(),
-    };
-    let SceneArgs { law, viscosity, substeps, duration, particle_order: order, .. } = *args;
-    // A range is part of the source.
-    let stiffness = args.stiffness.and_then(Stiffness::one);
-    Ok(SimulationRequest {
-        source,
-        name,
-        scene_name,
-        scenes: args.scenes,
-        seed: args.seed,
-        settings: Settings { stiffness, law, viscosity, substeps, duration, order },
-        fields: args.fields,
-        device: (args.device != Device::Cpu).then_some("cuda"),
-        threads,
-    })
 }

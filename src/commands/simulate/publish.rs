@@ -4,8 +4,9 @@ use anyhow::{Context, bail, ensure};
 
 use crate::{
     cli::SimulateArgs,
-    commands::{Interrupt, leaves_the_process, wait_for_subscribers},
+    commands::{leaves_the_process, wait_for_subscribers},
 };
+use eddy_cli::Interrupt;
 use eddy_evaluation::dataset::simulate::{Job, Recording, Store};
 use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{self as msg, Message, ParticleFrame, cdr};

@@ -10,8 +10,9 @@ use std::{
 use anyhow::Context;
 
 use super::{MAX_WAIT, find, print};
-use crate::{cli::TopicEchoArgs, commands::Interrupt};
+use crate::cli::TopicEchoArgs;
 use eddy_bag::QosOverrides;
+use eddy_cli::Interrupt;
 use eddy_node::{
     FrameQueue,
     recorder::{OpenTopic, TopicOpener},

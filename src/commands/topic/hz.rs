@@ -5,7 +5,8 @@ use std::time::Duration;
 use anyhow::Context;
 
 use super::{MAX_WAIT, find, print};
-use crate::{cli::TopicHzArgs, commands::Interrupt};
+use crate::cli::TopicHzArgs;
+use eddy_cli::Interrupt;
 use eddy_frames::clock::Clock;
 use eddy_node::topics::{MAX_FIND_TIME, Rate};
 use eddy_transport::Transports;

@@ -3,9 +3,9 @@
 use super::print;
 use crate::{
     cli::TopicListArgs,
-    commands::{Interrupt, leave_the_process, search::search},
-    terminal::on_one_line,
+    commands::{leave_the_process, search::search},
 };
+use eddy_cli::{Interrupt, terminal::on_one_line};
 use eddy_transport::{SeenTopic, Transports};
 
 pub(super) fn run(

@@ -6,9 +6,10 @@ mod list;
 
 use std::time::Duration;
 
-use super::{Interrupt, leaves_the_process};
-use crate::{
-    cli::{TopicArgs, TopicCommand},
+use super::leaves_the_process;
+use crate::cli::{TopicArgs, TopicCommand};
+use eddy_cli::{
+    Interrupt,
     terminal::{self, on_one_line},
 };
 use eddy_node::topics::{MAX_FIND_TIME, find_topic};

@@ -1,9 +1,21 @@
 //! Commands that run with changes, and commands that do not run.
 
+/// How to run on a cluster.
+pub const CLUSTER: &str = "docs/src/how-to/cluster.md";
+/// How to compare cores.
+pub const CORES: &str = "docs/src/how-to/cores.md";
+/// How to serve many streams.
+pub const STREAMS: &str = "docs/src/how-to/streams.md";
+/// How to share streams between nodes.
+pub const MANY_ROBOTS: &str = "docs/src/how-to/many_robots.md";
+/// Where the numbers come from.
+pub const NUMBERS: &str = "docs/src/background/numbers.md";
+
 /// The written text, its replacement, and the reason. All matching entries are applied in order. `{topic}` is an unused
 /// prefix, `{port}` and `{other_port}` are unused ports.
 pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("cargo run --release --", "eddy", "already built"),
+    ("cargo run --release -p eddy-lab --", "eddy-lab", "already built"),
     (
         "simulate --preset kinds",
         "simulate --preset kinds --particles 250 --duration 0.8",
@@ -69,7 +81,7 @@ pub const CHEAPER: &[(&str, &str, &str)] = &[
     ("--view 8081", "--view {port}", "unused ports"),
     ("--foxglove", "--foxglove 0", "any free port"),
     ("--view 8082", "--view {other_port}", "the same"),
-    ("eddy study", "eddy study --config study.toml", "few steps of small networks"),
+    ("eddy-lab study", "eddy-lab study --config study.toml", "few steps of small networks"),
     ("--duration 10", "--duration 8", "a shorter run, which includes the search for the topic"),
     ("--wait 5", "--wait 0.2", "no other publishers"),
     ("--references mpm,chaos", "--references mpm,chaos --starts 1", "one rollout a scene"),
@@ -157,11 +169,11 @@ pub const NOT_HERE: &[(&str, &str)] = &[
         "needs PyTorch; tests/peers/torch_exchange.py tests both directions",
     ),
     (
-        "python3 tests/peers/taichi_solver.py target/release/eddy",
+        "python3 tests/peers/taichi_solver.py target/release/eddy-lab",
         "needs hours on an idle machine, Taichi and PyTorch",
     ),
     (
-        "python3 tests/peers/torch_speed.py target/release/eddy",
+        "python3 tests/peers/torch_speed.py target/release/eddy-lab",
         "needs hours on an idle machine, Taichi and PyTorch",
     ),
     ("tests/bench/latency.sh", "needs forty minutes, an idle machine and real-time rights"),

@@ -13,12 +13,15 @@ use std::{
 use tempfile::TempDir;
 
 use super::{
-    root,
+    follow::root,
     tables::{CHEAPER, NOT_HERE},
 };
-use crate::support::{domain, free_port, unique};
+use crate::{
+    programs,
+    support::{domain, free_port, unique},
+};
 
-/// Programs besides eddy that pages may use.
+/// Programs besides those of eddy that pages may use.
 const SHELL: &[&str] = &["cat", "cp", "ls", "mkdir", "rm", "source"];
 
 /// Time limit of a command.
@@ -69,7 +72,7 @@ evaluation.starts = 1
 ";
 
 impl World {
-    /// A folder with the files of a clone, and eddy in the path.
+    /// A folder with the files of a clone, and the programs in the path.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         for name in [
@@ -81,7 +84,10 @@ impl World {
             copy(&root().join(name), &folder.path().join(name));
         }
         fs::create_dir(folder.path().join(".bin")).unwrap();
-        symlink(env!("CARGO_BIN_EXE_eddy"), folder.path().join(".bin/eddy")).unwrap();
+        for program in programs() {
+            let name = program.file_name().unwrap();
+            symlink(&program, folder.path().join(".bin").join(name)).unwrap();
+        }
         let topic = unique("documented");
         let world =
             Self { folder, domain: domain(), topic, ports: [free_port(), free_port()], started: 0 };
@@ -173,8 +179,8 @@ impl World {
         let cheap = self.cheaper(line);
         let program = cheap.split(' ').find(|word| !word.contains('=')).unwrap_or_default();
         assert!(
-            program == "eddy" || SHELL.contains(&program),
-            "{place}: `{line}`: found {program}, expected eddy, one of {SHELL:?}, or an entry of NOT_HERE"
+            self.at(".bin").join(program).exists() || SHELL.contains(&program),
+            "{place}: `{line}`: found {program}, expected a program of this package, one of {SHELL:?}, or an entry of NOT_HERE"
         );
         self.started += 1;
         let output = self.at(&format!(".output{}", self.started));

@@ -1,4 +1,4 @@
-//! The pages on commands, messages, checkpoints and diagnostics.
+//! The pages on messages, checkpoints and diagnostics.
 
 use std::fs;
 
@@ -19,55 +19,6 @@ use super::{
     root,
     source::Source,
 };
-use crate::{shell, support::succeed};
-
-/// `--help` of every command.
-pub fn commands() -> String {
-    let mut text =
-        "# Commands\n\nThe output of `--help` for each command; `-h` prints a shorter version.\n"
-            .to_owned();
-    let everywhere = ["  -h, --help", "  -V, --version"];
-    for words in shell::commands() {
-        let help = succeed(words.iter().map(String::as_str).chain(["--help"]));
-        let name = [&["eddy".to_owned()], words.as_slice()].concat().join(" ");
-        // Global options are listed only for the program itself.
-        let help = match words.is_empty() {
-            true => help,
-            false => without(&without_section(&help, "Global options:"), &everywhere),
-        };
-        text.push_str(&format!("\n## {name}\n\n```text\n{}\n```\n", help.trim_end()));
-    }
-    text
-}
-
-/// Help without the section below a heading.
-fn without_section(help: &str, heading: &str) -> String {
-    let Some((before, section)) = help.split_once(&format!("{heading}\n")) else {
-        return help.to_owned();
-    };
-    // The next line that is not indented is the next section.
-    let lines = section.lines().skip_while(|line| line.is_empty() || line.starts_with(' '));
-    before.to_owned() + &lines.map(|line| format!("{line}\n")).collect::<String>()
-}
-
-/// Help without some options.
-fn without(help: &str, options: &[&str]) -> String {
-    let mut kept = String::new();
-    let mut leaving_out = false;
-    for line in help.lines() {
-        let begins = line.trim_start().starts_with('-') && !line.starts_with("           ");
-        if begins {
-            leaving_out = options.iter().any(|option| line.starts_with(option));
-        } else if !line.is_empty() && !line.starts_with("      ") {
-            leaving_out = false;
-        }
-        if !leaving_out {
-            kept.push_str(line);
-            kept.push('\n');
-        }
-    }
-    kept
-}
 
 /// The page on `.msg` files and frames in shared memory.
 pub fn messages() -> String {

@@ -1,3 +1,3 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| eddy_lab::fuzzing::read("scene", bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| eddy_fuzz::read("scene", bytes));

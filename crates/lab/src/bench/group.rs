@@ -79,7 +79,6 @@ pub struct ProcessorUse {
 
 /// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum BenchError {
     /// The shipped checkpoint, which the nodes predict with, cannot be read.
     #[error(transparent)]

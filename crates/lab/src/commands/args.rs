@@ -1,10 +1,11 @@
-//! Arguments of `eddy bench` and `eddy study`.
+//! Arguments of `eddy-lab bench` and `eddy-lab study`.
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{Args, Subcommand};
 
 use crate::{bench::training::Step, study::Comparison};
+use eddy_cli::RealTimeArgs;
 use eddy_learning::{
     model::{Core, DeviceKind, Precision},
     train::step_benchmark::PARTICLES,
@@ -12,7 +13,7 @@ use eddy_learning::{
 use eddy_mpm::Law;
 use eddy_transport::TransportKind;
 
-/// `eddy bench`
+/// `eddy-lab bench`
 #[derive(Debug, Args)]
 pub struct BenchArgs {
     /// The benchmark.
@@ -24,6 +25,8 @@ pub struct BenchArgs {
     /// Replace an existing HTML page.
     #[arg(long, global = true)]
     pub force: bool,
+    #[command(flatten)]
+    pub real_time: RealTimeArgs,
 }
 
 /// The benchmarks.
@@ -49,7 +52,7 @@ pub enum BenchCommand {
     Bag(BenchBagArgs),
 }
 
-/// `eddy bench transport`
+/// `eddy-lab bench transport`
 #[derive(Debug, Args)]
 pub struct BenchTransportArgs {
     /// Transports to measure.
@@ -71,7 +74,7 @@ pub struct BenchTransportArgs {
     pub json: bool,
 }
 
-/// `eddy bench node`
+/// `eddy-lab bench node`
 #[derive(Debug, Args)]
 pub struct BenchNodeArgs {
     /// Checkpoint directory [default: the shipped particle model].
@@ -100,7 +103,7 @@ pub struct BenchNodeArgs {
     pub json: bool,
 }
 
-/// `eddy bench group`
+/// `eddy-lab bench group`
 #[derive(Debug, Args)]
 pub struct BenchGroupArgs {
     /// Number of nodes, each a process.
@@ -126,7 +129,7 @@ pub struct BenchGroupArgs {
     pub json: bool,
 }
 
-/// `eddy bench replay`
+/// `eddy-lab bench replay`
 #[derive(Debug, Args)]
 pub struct BenchReplayArgs {
     /// Particles per frame.
@@ -143,7 +146,7 @@ pub struct BenchReplayArgs {
     pub json: bool,
 }
 
-/// `eddy bench view`
+/// `eddy-lab bench view`
 #[derive(Debug, Args)]
 pub struct BenchViewArgs {
     /// Particles per frame.
@@ -160,7 +163,7 @@ pub struct BenchViewArgs {
     pub json: bool,
 }
 
-/// `eddy bench bag`
+/// `eddy-lab bench bag`
 #[derive(Debug, Args)]
 pub struct BenchBagArgs {
     /// Particles per frame.
@@ -180,7 +183,7 @@ pub struct BenchBagArgs {
     pub json: bool,
 }
 
-/// `eddy bench solver`
+/// `eddy-lab bench solver`
 #[derive(Debug, Args)]
 pub struct BenchSolverArgs {
     /// Numbers of particles, from 1000, 2500, 10000, 100000 and 1000000 [default: all].
@@ -203,7 +206,7 @@ pub struct BenchSolverArgs {
     pub json: bool,
 }
 
-/// `eddy bench inference`
+/// `eddy-lab bench inference`
 #[derive(Debug, Args)]
 pub struct BenchInferenceArgs {
     /// Particles per frame.
@@ -229,7 +232,7 @@ pub struct BenchInferenceArgs {
     pub json: bool,
 }
 
-/// `eddy bench training`
+/// `eddy-lab bench training`
 #[derive(Debug, Args)]
 pub struct BenchTrainingArgs {
     /// A kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
@@ -254,7 +257,7 @@ pub struct BenchTrainingArgs {
     pub json: bool,
 }
 
-/// `eddy study`
+/// `eddy-lab study`
 #[derive(Debug, Args)]
 pub struct StudyArgs {
     /// What to compare, and how.
@@ -268,7 +271,7 @@ pub struct StudyArgs {
     pub gpus: NonZeroUsize,
 }
 
-/// What `eddy study` and `eddy plan study` compare, and how.
+/// What `eddy-lab study` and `eddy-lab plan study` compare, and how.
 #[derive(Debug, Args)]
 pub struct StudyChoice {
     /// The comparison.
@@ -297,33 +300,4 @@ pub struct StudyChoice {
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
     #[arg(long, value_enum, default_value_t = Precision::Tf32)]
     pub precision: Precision,
-}
-
-/// `eddy plan list`
-#[derive(Debug, Args)]
-pub struct PlanListArgs {
-    /// Plan.
-    #[arg(value_name = "PLAN")]
-    pub file: PathBuf,
-    /// List the tasks that are not done as job arrays: position, kind, number of the first task, tasks relative to it, arrays that
-    /// must be done before, cores, GPUs, memory (MiB) and estimated time (s) of a task.
-    #[arg(long)]
-    pub arrays: bool,
-    /// Print JSON instead of tables.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `eddy plan run`
-#[derive(Debug, Args)]
-pub struct PlanRunArgs {
-    /// Plan.
-    #[arg(value_name = "PLAN")]
-    pub file: PathBuf,
-    /// Run these tasks, by number or name, one after the other [default: all, in an order in which each has its inputs].
-    #[arg(long, value_name = "TASK", num_args = 1.., conflicts_with = "jobs")]
-    pub task: Vec<String>,
-    /// Number of tasks to run in parallel.
-    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
-    pub jobs: NonZeroUsize,
 }

@@ -1,4 +1,4 @@
-//! `eddy bench bag`: write and read rates of bags.
+//! `eddy-lab bench bag`: write and read rates of bags.
 
 use std::{fs, path::Path};
 
@@ -57,7 +57,7 @@ pub fn run(args: BenchBagArgs, html: Option<&Path>, progress: &dyn Progress) -> 
         report.hertz,
         report.disk / 1e6
     );
-    let (title, tables) = ("eddy bench bag", vec![table("Bags", header, rows)]);
+    let (title, tables) = ("eddy-lab bench bag", vec![table("Bags", header, rows)]);
     let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     output.show(&report, args.json, html)
 }

@@ -1,6 +1,9 @@
-//! `eddy bench group`: nodes that share streams.
+//! `eddy-lab bench group`: nodes that share streams.
 
-use std::path::Path;
+use std::{
+    env,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, ensure};
 use serde::Serialize;
@@ -26,7 +29,7 @@ struct Report {
     timing: Timing,
 }
 
-/// Runs nodes of this program for a while.
+/// Runs nodes for a while.
 pub fn run(
     args: BenchGroupArgs,
     html: Option<&Path>,
@@ -45,7 +48,7 @@ pub fn run(
     );
     let least = 1 + usize::from(kill);
     ensure_usage!(nodes >= least, "nodes: found {nodes}, expected at least {least}");
-    let program = std::env::current_exe().context("cannot find this program")?;
+    let program = eddy()?;
     let plan = Plan { nodes, streams, particles, hertz, seconds, kill };
     let timing = time(&program, &plan, &|| progress.cancelled())?;
     ensure!(!progress.cancelled(), "interrupted");
@@ -75,7 +78,19 @@ pub fn run(
          {silence:.2} s",
     );
     let output =
-        BenchOutput { title: "eddy bench group", tables, plots: Vec::new(), notes: vec![note] };
+        BenchOutput { title: "eddy-lab bench group", tables, plots: Vec::new(), notes: vec![note] };
     let report = Report { nodes, streams, particles, hertz, seconds, killed: kill, timing };
     output.show(&report, json, html)
+}
+
+/// The program of the nodes: `eddy` beside this one, where cargo and packages put it.
+fn eddy() -> anyhow::Result<PathBuf> {
+    let here = env::current_exe().context("cannot find this program")?;
+    let program = here.with_file_name(format!("eddy{}", env::consts::EXE_SUFFIX));
+    ensure!(
+        program.is_file(),
+        "{}: not found, expected the program eddy, which `cargo build --release` builds",
+        program.display()
+    );
+    Ok(program)
 }

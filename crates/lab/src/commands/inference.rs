@@ -1,4 +1,4 @@
-//! `eddy bench inference`: time per predicted frame.
+//! `eddy-lab bench inference`: time per predicted frame.
 
 use std::{num::NonZeroUsize, path::Path};
 
@@ -106,7 +106,7 @@ fn output(timings: &[Timing], floors: &[Floor], engines: usize, threads: usize) 
         )
     });
     BenchOutput {
-        title: "eddy bench inference",
+        title: "eddy-lab bench inference",
         tables: vec![table("Time per predicted frame", header, rows)],
         plots: Vec::new(),
         notes: std::iter::once(note).chain(rates).collect(),

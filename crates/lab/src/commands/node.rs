@@ -1,4 +1,4 @@
-//! `eddy bench node`: overhead of a node over its model, and number of streams.
+//! `eddy-lab bench node`: overhead of a node over its model, and number of streams.
 
 use std::path::Path;
 
@@ -68,7 +68,7 @@ pub fn run(
     );
     let head = ["", "p50 (ms)", "p99 (ms)", "p99.9 (ms)", "worst (ms)"];
     let table = table("Time per frame", head, rows);
-    let (title, tables) = ("eddy bench node", vec![table]);
+    let (title, tables) = ("eddy-lab bench node", vec![table]);
     let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     let report = Report { streams, particles, hertz, seconds, together, timing, overhead };
     output.show(&report, args.json, html)

@@ -1,9 +1,6 @@
 //! Output of benchmarks as tables, JSON or HTML.
 
-use std::{
-    io::{self, ErrorKind, Write as _},
-    path::Path,
-};
+use std::path::Path;
 
 use anyhow::Context;
 use serde::Serialize;
@@ -34,11 +31,11 @@ impl BenchOutput {
         html: Option<&Path>,
     ) -> anyhow::Result<()> {
         if json {
-            print(&serde_json::to_string_pretty(report)?)?;
+            println!("{}", serde_json::to_string_pretty(report)?);
         } else {
             let tables = self.tables.iter().map(|table| table.plain(COLUMNS));
             let tables: Vec<String> = tables.collect();
-            print(&format!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n")))?;
+            println!("{}\n\n{}", tables.join("\n\n"), self.notes.join("\n"));
         }
         let Some(html) = html else { return Ok(()) };
         let page = self.page(&Provenance::here());
@@ -53,19 +50,6 @@ impl BenchOutput {
         self.notes.iter().for_each(|note| _ = section.paragraph(note));
         page.section("Reproduce").provenance(made);
         page
-    }
-}
-
-/// Prints lines; a reader that is gone, as behind `| head`, is no failure.
-///
-/// # Errors
-/// When standard output cannot be written to for another reason.
-pub(super) fn print(text: &str) -> anyhow::Result<()> {
-    match writeln!(io::stdout(), "{text}") {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(error).context("cannot write to standard output")
-        }
-        _ => Ok(()),
     }
 }
 

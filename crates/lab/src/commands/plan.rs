@@ -1,7 +1,8 @@
-//! `eddy plan`: writes, lists and runs the tasks of long jobs.
+//! `eddy-lab plan`: writes, lists and runs the tasks of long jobs.
 
 use std::{
     env,
+    num::NonZeroU32,
     path::{Path, PathBuf},
 };
 
@@ -9,19 +10,59 @@ use anyhow::{Context, ensure};
 use serde::Serialize;
 
 use super::{
-    PlanListArgs, PlanRunArgs,
-    output::{COLUMNS, print},
-    table,
+    PlanArgs, PlanCommand,
+    output::COLUMNS,
+    plan_args::{PlanListArgs, PlanRunArgs, PlanSimulateArgs, PlanStudyArgs},
+    study, table,
 };
 use crate::plans::LongJob;
+use eddy_cli::{Device, keep_freed_memory, with_usage};
+use eddy_evaluation::dataset::simulate::MOST_SCENES;
 use eddy_frames::progress::Progress;
+use eddy_learning::model::DeviceKind;
 use eddy_plan::{Array, Job as _, OpenPlan, Plan, Task, TaskState};
+
+/// Runs the subcommand.
+pub fn run(args: PlanArgs, progress: &dyn Progress) -> anyhow::Result<()> {
+    match args.command {
+        PlanCommand::Simulate(args) => simulation(&args),
+        PlanCommand::Study(args) => comparison(args),
+        PlanCommand::List(args) => list(&args),
+        PlanCommand::Run(args) => run_tasks(&args, progress),
+    }
+}
+
+fn simulation(args: &PlanSimulateArgs) -> anyhow::Result<()> {
+    let PlanSimulateArgs { file, scenes, output, tasks } = args;
+    let request = scenes.request(None)?;
+    let device = match scenes.device {
+        Device::Cpu => DeviceKind::Flex,
+        #[cfg(feature = "cuda")]
+        Device::Cuda(number) => DeviceKind::Cuda(number),
+    };
+    let per_task = per_task(tasks.scenes_per_task, device);
+    let plan = LongJob::simulate(&request, output, device, per_task);
+    save(plan.map_err(with_usage)?, file, tasks.force)
+}
+
+fn comparison(args: PlanStudyArgs) -> anyhow::Result<()> {
+    let PlanStudyArgs { file, study, tasks } = args;
+    let request = study::request(study)?;
+    let per_task = per_task(tasks.scenes_per_task, request.device);
+    save(LongJob::study(request, per_task)?, &file, tasks.force)
+}
+
+/// Scenes per task.
+fn per_task(given: Option<NonZeroU32>, device: DeviceKind) -> u32 {
+    let default = if device.is_cuda() { MOST_SCENES as u32 } else { 1 };
+    given.map_or(default, NonZeroU32::get)
+}
 
 /// Writes a plan whose paths start in the current directory.
 ///
 /// # Errors
 /// When the file exists, unless `force`, or cannot be written.
-pub fn save(plan: Plan<LongJob>, file: &Path, force: bool) -> anyhow::Result<()> {
+fn save(plan: Plan<LongJob>, file: &Path, force: bool) -> anyhow::Result<()> {
     let shown = file.display();
     ensure!(
         force || !file.exists(),
@@ -32,28 +73,32 @@ pub fn save(plan: Plan<LongJob>, file: &Path, force: bool) -> anyhow::Result<()>
     let tasks = plan.tasks.len();
     let seconds: f64 = plan.tasks.iter().map(|task| task.cost.seconds).sum();
     plan.starting_in(&here, &absolute).save(file)?;
-    print(&format!("{tasks} tasks, about {} in total: {shown}", duration(seconds)))
+    println!("{tasks} tasks, about {} in total: {shown}", duration(seconds));
+    Ok(())
 }
 
 /// Prints the states of the tasks, or the arrays of those that are not done.
 ///
 /// # Errors
 /// When the plan or the state of a task cannot be read.
-pub fn list(args: &PlanListArgs) -> anyhow::Result<()> {
+fn list(args: &PlanListArgs) -> anyhow::Result<()> {
     let plan = open(&args.file)?;
     let states = plan.states()?;
     if args.arrays {
         let arrays = plan.arrays(&states);
         if args.json {
             let rows: Vec<ArrayRow> = arrays.iter().map(ArrayRow::of).collect();
-            return print(&serde_json::to_string_pretty(&rows)?);
+            println!("{}", serde_json::to_string_pretty(&rows)?);
+        } else {
+            arrays.iter().enumerate().for_each(|(n, array)| println!("{}", line(n, array)));
         }
-        return arrays.iter().enumerate().try_for_each(|(n, array)| print(&line(n, array)));
+        return Ok(());
     }
     if args.json {
         let row = |number| TaskRow::of(&plan, number, &states[number]);
         let rows: Vec<TaskRow> = (0..states.len()).map(row).collect();
-        return print(&serde_json::to_string_pretty(&rows)?);
+        println!("{}", serde_json::to_string_pretty(&rows)?);
+        return Ok(());
     }
     let rows = plan.tasks().iter().zip(&states).enumerate().map(|(number, (task, state))| {
         vec![
@@ -73,21 +118,23 @@ pub fn list(args: &PlanListArgs) -> anyhow::Result<()> {
         ]
     });
     let header = ["task", "name", "state", "estimate", "took", "where"];
-    print(&table("Tasks", header, rows).plain(COLUMNS))?;
+    println!("{}", table("Tasks", header, rows).plain(COLUMNS));
     for (number, state) in states.iter().enumerate() {
         if let TaskState::Failed { failures, reason } = state {
-            print(&format!("task {number} has failed {failures} times, the last time: {reason}"))?;
+            println!("task {number} has failed {failures} times, the last time: {reason}");
         }
     }
     let done = states.iter().filter(|state| matches!(state, TaskState::Done { .. })).count();
-    print(&format!("{done} of {} tasks are done", states.len()))
+    println!("{done} of {} tasks are done", states.len());
+    Ok(())
 }
 
 /// Runs tasks, or all of them.
 ///
 /// # Errors
 /// When a task has failed, cannot start, or is being run by another process.
-pub fn run(args: &PlanRunArgs, progress: &dyn Progress) -> anyhow::Result<()> {
+fn run_tasks(args: &PlanRunArgs, progress: &dyn Progress) -> anyhow::Result<()> {
+    keep_freed_memory();
     let plan = open(&args.file)?;
     if args.task.is_empty() {
         return Ok(plan.run_all(args.jobs, progress)?);

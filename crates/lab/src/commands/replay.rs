@@ -1,4 +1,4 @@
-//! `eddy bench replay`: delay of replayed messages.
+//! `eddy-lab bench replay`: delay of replayed messages.
 
 use std::path::Path;
 
@@ -48,7 +48,7 @@ pub fn run(
         timing.replay.p99 / timing.timer.p99
     );
     let table = table("Delay of frames", ["", "p50 (ms)", "p99 (ms)"], rows);
-    let (title, tables) = ("eddy bench replay", vec![table]);
+    let (title, tables) = ("eddy-lab bench replay", vec![table]);
     let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     output.show(&Report { particles, hertz, timing }, json, html)
 }

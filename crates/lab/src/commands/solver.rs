@@ -1,4 +1,4 @@
-//! `eddy bench solver`: time per substep.
+//! `eddy-lab bench solver`: time per substep.
 
 use std::{fs, path::Path};
 
@@ -141,7 +141,7 @@ fn output(timings: &[Timing], limits: &[Limit]) -> BenchOutput {
         series: series.collect(),
     };
     BenchOutput {
-        title: "eddy bench solver",
+        title: "eddy-lab bench solver",
         tables: vec![table("Substeps of the Material Point Method", header, rows)],
         plots: vec![plot],
         notes: std::iter::once(first).chain(limits.iter().map(limit)).collect(),

@@ -1,14 +1,12 @@
-//! `eddy study`: the paper's comparisons.
+//! `eddy-lab study`: the paper's comparisons.
 
 use std::num::NonZeroUsize;
 
 use anyhow::Context;
 
-use super::{
-    StudyArgs, StudyChoice,
-    output::{COLUMNS, print},
-};
+use super::{StudyArgs, StudyChoice, output::COLUMNS};
 use crate::study::{self, StudyConfig, StudyRequest};
+use eddy_cli::keep_freed_memory;
 use eddy_frames::progress::Progress;
 use eddy_settings::{Overrides, usage::Usage};
 
@@ -17,6 +15,7 @@ use eddy_settings::{Overrides, usage::Usage};
 /// # Errors
 /// Settings out of range; errors of the comparison.
 pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
+    keep_freed_memory();
     let StudyArgs { choice, jobs, gpus } = args;
     let request = StudyRequest { jobs, gpus, ..request(choice)? };
     let warning = request.study.warning(request.comparison);
@@ -25,12 +24,13 @@ pub fn run(args: StudyArgs, progress: &dyn Progress) -> anyhow::Result<()> {
     }
     let outcome = study::run(&request, progress)?;
     if let Some(warning) = &warning {
-        print(&format!("\n{warning}"))?;
+        println!("\n{warning}");
     }
     for (heading, table) in &outcome.summaries {
-        print(&format!("\n{heading}: {}\n{}", table.caption(), table.plain(COLUMNS)))?;
+        println!("\n{heading}: {}\n{}", table.caption(), table.plain(COLUMNS));
     }
-    print(&format!("\n{}", outcome.page.display()))
+    println!("\n{}", outcome.page.display());
+    Ok(())
 }
 
 /// The settings of the preset, overridden by the file; one job on one GPU.

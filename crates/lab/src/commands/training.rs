@@ -1,4 +1,4 @@
-//! `eddy bench training`: time per training step.
+//! `eddy-lab bench training`: time per training step.
 
 use std::path::Path;
 
@@ -67,8 +67,12 @@ pub fn run(
             "PyTorch: 2.15, eager, two cores of an Intel Xeon, tests/peers/torch_speed.py";
         notes.insert(0, pytorch.to_owned());
     }
-    let output =
-        BenchOutput { title: "eddy bench training", tables, plots: vec![plot(&timings)], notes };
+    let output = BenchOutput {
+        title: "eddy-lab bench training",
+        tables,
+        plots: vec![plot(&timings)],
+        notes,
+    };
     output.show(&Report { threads, steps: timings }, args.json, html)
 }
 

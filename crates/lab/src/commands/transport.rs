@@ -1,4 +1,4 @@
-//! `eddy bench transport`: latency from publisher to subscriber.
+//! `eddy-lab bench transport`: latency from publisher to subscriber.
 
 use std::path::Path;
 
@@ -76,7 +76,7 @@ pub fn run(
         args.messages
     );
     let (title, tables) =
-        ("eddy bench transport", vec![table("Latency and throughput", header, rows)]);
+        ("eddy-lab bench transport", vec![table("Latency and throughput", header, rows)]);
     let output = BenchOutput { title, tables, plots: vec![plot(&timings)], notes: vec![note] };
     output.show(&Report { timings }, args.json, html)
 }

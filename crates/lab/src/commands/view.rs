@@ -1,4 +1,4 @@
-//! `eddy bench view`: overhead of the live page.
+//! `eddy-lab bench view`: overhead of the live page.
 
 use std::path::Path;
 
@@ -60,7 +60,7 @@ pub fn run(
         "{particles} particles at {hertz} Hz; p50, p99: time to publish a frame and its prediction; arrived: at each \
          browser that reads"
     );
-    let (title, tables) = ("eddy bench view", vec![table]);
+    let (title, tables) = ("eddy-lab bench view", vec![table]);
     let output = BenchOutput { title, tables, plots: Vec::new(), notes: vec![note] };
     output.show(&rows, json, html)
 }

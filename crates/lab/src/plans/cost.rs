@@ -2,18 +2,18 @@
 //! is done.
 
 use eddy_evaluation::dataset::simulate::Planned;
-use eddy_learning::train::{TrainConfig, dense::DenseConfig, step_benchmark::PARTICLES};
+use eddy_learning::train::{TrainConfig, step_benchmark::PARTICLES};
 use eddy_mpm::MpmError;
 use eddy_plan::Cost;
 
-use crate::bench::training::products;
+use crate::{bench::training::products, dense::DenseConfig};
 
-/// Time per particle and substep on one thread (s): `eddy bench solver`, see the page "Numbers".
+/// Time per particle and substep on one thread (s): `eddy-lab bench solver`, see the page "Numbers".
 const PARTICLE_UPDATE: f64 = 20e-9;
 /// Multiply-adds per second and core of a training step: 263 ms for 16 windows of two frames on two cores of an AMD EPYC that other
-/// programs used too (`eddy bench training --step frame:mingru:2`).
+/// programs used too (`eddy-lab bench training --step frame:mingru:2`).
 const CORE_RATE: f64 = 4e9;
-/// Multiply-adds per second of training on an NVIDIA GPU: each network of `eddy study cores --paper` took about 55 s for at least
+/// Multiply-adds per second of training on an NVIDIA GPU: each network of `eddy-lab study cores --paper` took about 55 s for at least
 /// 600 steps, four at once, see the page "The paper's study".
 const GPU_RATE: f64 = 9e12;
 /// Memory of a process before it has data (MiB).

@@ -1,4 +1,4 @@
-//! Long jobs as plans: `eddy plan`.
+//! Long jobs as plans: `eddy-lab plan`.
 //!
 //! 1. [`simulate`]: a data set, one task per scene, then its manifest.
 //! 2. [`study`]: a comparison of the paper: scenes, networks or learning curves, evaluations, report.
@@ -29,7 +29,7 @@ use study::StudyJob;
 pub enum LongJob {
     /// `eddy simulate`
     Simulate(Box<SimulateJob>),
-    /// `eddy study`
+    /// `eddy-lab study`
     Study(Box<StudyJob>),
 }
 

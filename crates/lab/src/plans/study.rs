@@ -1,4 +1,4 @@
-//! `eddy study` as a plan.
+//! `eddy-lab study` as a plan.
 
 use std::{
     collections::BTreeMap,

@@ -6,7 +6,7 @@ use eddy_plan::{OpenPlan, PlanError};
 use super::*;
 use crate::study::{Comparison, StudyConfig, run, tests};
 
-/// The small study of `eddy study`'s tests, with one seed.
+/// The small study of `eddy-lab study`'s tests, with one seed.
 fn request(comparison: Comparison, output: &Path) -> StudyRequest {
     let mut request = tests::request(comparison, output);
     request.study.seeds = StudyConfig::quick().seeds;

@@ -3,9 +3,10 @@
 use std::collections::VecDeque;
 
 use super::{Curve, ResultError, run::Work};
+use crate::dense;
 use eddy_evaluation::dataset::Dataset;
 use eddy_inference::checkpoint::Activation;
-use eddy_learning::{model::DeviceKind, train::dense::train_dense};
+use eddy_learning::model::DeviceKind;
 
 /// Computes the missing learning curves.
 pub(super) fn run(work: &Work) -> anyhow::Result<()> {
@@ -62,7 +63,7 @@ fn train(
     dataset: &Dataset,
 ) -> anyhow::Result<Option<String>> {
     let (config, stops) = (&work.study.dense, || work.stops());
-    let curve = train_dense(config, activation, seed, dataset, device, work.gpu(), &stops)?;
+    let curve = dense::train(config, activation, seed, dataset, device, work.gpu(), &stops)?;
     let Some(curve) = curve else { return Ok(None) };
     let last = curve.epochs.last().map_or(f64::NAN, |epoch| epoch.validation_loss);
     let name = activation.name();

@@ -24,11 +24,11 @@ pub(crate) mod tests;
 mod training;
 mod write;
 
-pub use config::{DataConfig, DataSet, EvaluationConfig, InvalidStudy, SceneChoice, StudyConfig};
+pub use config::{DataSet, SceneChoice, StudyConfig};
 pub use networks::Networks;
 pub use page::StudyReport;
 pub use parts::{Part, run_part};
 pub use plan::{Comparison, Folders, Variant};
 pub use results::{Curve, Losses, ResultError, Speed, Trained};
-pub use run::{StudyOutcome, StudyRequest, run};
+pub use run::{StudyRequest, run};
 pub(crate) use {plan::runs, run::solvers, write::files as report_files};

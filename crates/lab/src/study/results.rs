@@ -7,15 +7,15 @@ use std::{
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::bench::training::Timing;
+use crate::{
+    bench::training::Timing,
+    dense::{DenseConfig, DenseCurve},
+};
 use eddy_evaluation::page::Machine;
 use eddy_inference::checkpoint::Activation;
 use eddy_learning::{
     model::DeviceKind,
-    train::{
-        Epoch, TrainConfig,
-        dense::{DenseConfig, DenseCurve},
-    },
+    train::{Epoch, TrainConfig},
 };
 use eddy_settings::atomic;
 

@@ -1,6 +1,6 @@
 //! A checkpoint that predicts frame by frame with its network in burn, followed by its rules.
 //!
-//! The streaming engine of `eddy-inference` is compared with it in tests and in `eddy bench inference`.
+//! The streaming engine of `eddy-inference` is compared with it in tests and in `eddy-lab bench inference`.
 
 use burn::tensor::{Tensor, TensorData};
 

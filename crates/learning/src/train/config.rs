@@ -425,7 +425,7 @@ fn require(
     if valid { Ok(()) } else { Err(setting(field, found, expected)) }
 }
 
-pub(super) fn at_least_one(field: &'static str, found: usize) -> Result<(), TrainError> {
+fn at_least_one(field: &'static str, found: usize) -> Result<(), TrainError> {
     require(field, found, found >= 1, "at least 1")
 }
 
@@ -433,7 +433,7 @@ fn not_negative(field: &'static str, found: f32) -> Result<(), TrainError> {
     require(field, found, found.is_finite() && found >= 0.0, "a number from 0")
 }
 
-pub(super) fn positive<T: Into<f64> + ToString + Copy>(
+fn positive<T: Into<f64> + ToString + Copy>(
     field: &'static str,
     found: T,
 ) -> Result<(), TrainError> {

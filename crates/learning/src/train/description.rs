@@ -143,7 +143,7 @@ pub(super) fn start_from(
 }
 
 /// Rejects streams that differ in the number of particles.
-pub(super) fn same_particles(dataset: &Dataset, particles: usize) -> Result<(), TrainError> {
+fn same_particles(dataset: &Dataset, particles: usize) -> Result<(), TrainError> {
     let mut streams = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test);
     match streams.find(|stream| stream.material.len() != particles) {
         None => Ok(()),
@@ -157,7 +157,7 @@ pub(super) fn same_particles(dataset: &Dataset, particles: usize) -> Result<(), 
 }
 
 /// Rejects constant features, which cannot be normalised.
-pub(super) fn no_constant_feature(dataset: &Dataset) -> Result<(), TrainError> {
+fn no_constant_feature(dataset: &Dataset) -> Result<(), TrainError> {
     let scale = &dataset.normalization;
     let constant = |&feature: &usize| scale.minimum[feature] >= scale.maximum[feature];
     match (0..4).find(constant) {

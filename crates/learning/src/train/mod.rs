@@ -16,8 +16,7 @@
 //! Before the loop: `config` has all settings, `recipes` their defaults, `description` the network they describe. `data_warnings`
 //! finds data that does not fit them, `footprint` estimates the memory and disk space that a run needs.
 //!
-//! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed; [`dense`] is the small
-//! network for the paper's comparison of activations.
+//! [`train`] runs them. [`step_benchmark`] takes its steps on synthetic data, to be timed.
 
 mod batch;
 mod config;
@@ -33,7 +32,6 @@ mod cuda_run_tests;
 #[cfg(feature = "cuda")]
 mod cuda_tests;
 mod data_warnings;
-pub mod dense;
 mod density;
 mod description;
 mod error;

@@ -5,7 +5,7 @@
 //!
 //! These are not the vectors of `pulp`, as in `eddy-inference`, because code that is generic over pulp's instruction sets has
 //! no vectors of a fixed width for a row of four nodes, and no loads that deinterleave. With pulp's AVX-512 vectors for
-//! particles and these for nodes, a substep of the case of `eddy bench solver --particles 2500,10000 --threads 1` took 46 and
+//! particles and these for nodes, a substep of the case of `eddy-lab bench solver --particles 2500,10000 --threads 1` took 46 and
 //! 186 microseconds instead of 36 and 153 (AMD EPYC, two busy cores, best of seven rounds), with [`portable`] compiled for
 //! AVX-512 75 and 310. The results were the same bits.
 

@@ -1,14 +1,12 @@
-//! `eddy study`: each comparison from nothing to its report, with stops on the way.
+//! `eddy-lab study`: each comparison from nothing to its report, with stops on the way.
 
 use std::{fs, path::Path, time::SystemTime};
 
 use eddy_evaluation::Report;
 use tempfile::TempDir;
 
-use crate::{
-    eval::is_a_page_of_its_own,
-    support::{Process, fail, succeed, talking_eddy},
-};
+use crate::documented::root;
+use crate::support::{Process, fail, is_a_page_of_its_own, succeed, talking_eddy as talking_lab};
 
 /// Small enough for a test; three scenes of each preset.
 const SETTINGS: &str = r#"
@@ -141,7 +139,7 @@ fn what_was_trained_otherwise_or_is_damaged_is_not_taken_for_ours() {
 #[test]
 fn a_study_that_was_stopped_goes_on() {
     let study = Study::new();
-    let mut command = talking_eddy();
+    let mut command = talking_lab();
     command.args(study.arguments("window"));
     // The first network's line: some are trained, others not.
     let mut process = Process::start_until(&mut command, "fluid-3 mingru");
@@ -219,4 +217,17 @@ fn settings_that_cannot_be_used_are_refused_before_anything_is_written() {
         assert!(error.contains(words), "{line}: {error}");
         assert!(!study.folder.path().join("out").exists(), "{line}");
     }
+}
+
+/// Interrupted during its simulation; the whole study would take an hour.
+#[test]
+fn the_papers_study_begins_with_the_settings_for_two_cores() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = root().join("launch_configs/study/two_cores.toml");
+    let mut command = talking_lab();
+    command.args(["study", "cores", "--paper", "--config", settings.to_str().unwrap()]);
+    command.args(["--output", folder.path().to_str().unwrap()]);
+    let mut study = Process::start_until(&mut command, "eddy simulate --preset fluid --scenes 60");
+    study.interrupt();
+    assert!(!study.wait().success());
 }

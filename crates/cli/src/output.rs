@@ -14,7 +14,7 @@ use tempfile::{Builder, TempDir};
 
 /// What a command writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum OutputKind {
+pub enum OutputKind {
     /// A bag: a directory with MCAP files.
     Bag,
     /// A directory of bags.
@@ -87,7 +87,7 @@ const REPORT_FILES: [&str; 4] = ["report.json", "report.html", "curves.csv", "co
 
 /// A place for an output, and the old output of the same name until the new one is complete.
 #[must_use = "the old output is restored unless it is replaced"]
-pub(crate) struct Output {
+pub struct Output {
     path: PathBuf,
     old: Option<TempDir>,
 }
@@ -97,7 +97,7 @@ impl Output {
     ///
     /// # Errors
     /// If something is there and `force` is not set, or it is not an output of this kind, or it is an input.
-    pub(crate) fn at(
+    pub fn at(
         path: &Path,
         kind: OutputKind,
         force: bool,
@@ -137,7 +137,7 @@ impl Output {
     }
 
     /// The new output is complete: removes the old one.
-    pub(crate) fn replaced(mut self) {
+    pub fn replaced(mut self) {
         if let Some(old) = self.old.take() {
             let path = old.path().to_owned();
             if let Err(error) = old.close() {
@@ -165,7 +165,7 @@ impl Drop for Output {
 ///
 /// # Errors
 /// With what was found and expected.
-pub(crate) fn on_disk(path: &Path) -> anyhow::Result<()> {
+pub fn on_disk(path: &Path) -> anyhow::Result<()> {
     eddy_storage::on_disk(path).with_context(|| path.display().to_string())?;
     Ok(())
 }
@@ -222,7 +222,7 @@ fn moved_aside(path: &Path) -> io::Result<TempDir> {
 }
 
 /// `path`, or the first of `path-2`, `path-3`, ... that does not exist: for outputs whose name was not given.
-pub(crate) fn unused(path: &Path) -> PathBuf {
+pub fn unused(path: &Path) -> PathBuf {
     let numbered = |number: u32| {
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(format!("-{number}"));

@@ -1,5 +1,5 @@
-//! Fuzz targets, one for each kind of external input: none may panic or use unbounded memory or time. Called by
-//! `tests/fuzz`.
+//! Fuzz targets, one for each kind of external input: none may panic or use unbounded memory or time. Both runs call them:
+//! `main.rs`, the short one, and `fuzz_targets/`, the long one.
 
 use std::{
     collections::BTreeMap,
@@ -48,9 +48,8 @@ pub const TARGETS: [Target; 9] = [
 /// # Panics
 /// When there is no such target, or the input reveals a bug.
 pub fn read(kind: &str, bytes: &[u8]) {
-    let known = TARGETS.iter().find(|(name, _)| *name == kind);
-    let (_, read) = known.expect("one of TARGETS");
-    read(bytes);
+    let (_, target) = TARGETS.iter().find(|(name, _)| *name == kind).expect("one of TARGETS");
+    target(bytes);
 }
 
 /// Decodes CDR as each external message, request and response.

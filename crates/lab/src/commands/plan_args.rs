@@ -1,13 +1,16 @@
-//! `eddy plan`: its subcommands.
+//! Arguments of `eddy-lab plan`.
 
-use std::{num::NonZeroU32, path::PathBuf};
+use std::{
+    num::{NonZeroU32, NonZeroUsize},
+    path::PathBuf,
+};
 
 use clap::{Args, Subcommand};
 
-use super::SceneArgs;
-use eddy_lab::commands::{PlanListArgs, PlanRunArgs, StudyChoice};
+use super::StudyChoice;
+use eddy_cli::SceneArgs;
 
-/// `eddy plan`
+/// `eddy-lab plan`
 #[derive(Debug, Args)]
 pub struct PlanArgs {
     #[command(subcommand)]
@@ -18,7 +21,7 @@ pub struct PlanArgs {
 pub enum PlanCommand {
     /// Write the tasks of `eddy simulate`: scenes, then the manifest. The data are the same, byte for byte.
     Simulate(PlanSimulateArgs),
-    /// Write the tasks of `eddy study`: scenes, networks, evaluations and the report.
+    /// Write the tasks of `eddy-lab study`: scenes, networks, evaluations and the report.
     Study(PlanStudyArgs),
     /// List the tasks of a plan with their states and times.
     List(PlanListArgs),
@@ -26,7 +29,7 @@ pub enum PlanCommand {
     Run(PlanRunArgs),
 }
 
-/// `eddy plan simulate`
+/// `eddy-lab plan simulate`
 #[derive(Debug, Args)]
 pub struct PlanSimulateArgs {
     /// Plan to write (JSON).
@@ -41,7 +44,7 @@ pub struct PlanSimulateArgs {
     pub tasks: TaskArgs,
 }
 
-/// `eddy plan study`
+/// `eddy-lab plan study`
 #[derive(Debug, Args)]
 pub struct PlanStudyArgs {
     /// Plan to write (JSON).
@@ -62,4 +65,33 @@ pub struct TaskArgs {
     /// Replace an existing plan. Tasks whose outputs exist end at once.
     #[arg(long)]
     pub force: bool,
+}
+
+/// `eddy-lab plan list`
+#[derive(Debug, Args)]
+pub struct PlanListArgs {
+    /// Plan.
+    #[arg(value_name = "PLAN")]
+    pub file: PathBuf,
+    /// List the tasks that are not done as job arrays: position, kind, number of the first task, tasks relative to it, arrays that
+    /// must be done before, cores, GPUs, memory (MiB) and estimated time (s) of a task.
+    #[arg(long)]
+    pub arrays: bool,
+    /// Print JSON instead of tables.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `eddy-lab plan run`
+#[derive(Debug, Args)]
+pub struct PlanRunArgs {
+    /// Plan.
+    #[arg(value_name = "PLAN")]
+    pub file: PathBuf,
+    /// Run these tasks, by number or name, one after the other [default: all, in an order in which each has its inputs].
+    #[arg(long, value_name = "TASK", num_args = 1.., conflicts_with = "jobs")]
+    pub task: Vec<String>,
+    /// Number of tasks to run in parallel.
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN)]
+    pub jobs: NonZeroUsize,
 }

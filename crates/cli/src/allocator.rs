@@ -8,7 +8,7 @@ const PURGE_DELAY: c_int = 15;
 
 /// Keeps freed memory for the rest of the process. A training step frees and allocates arrays as large as the network;
 /// pages returned to the system in between would have to be cleared again.
-pub(crate) fn keep_freed_memory() {
+pub fn keep_freed_memory() {
     const NEVER: c_long = -1;
     // SAFETY: stores a number in a table of options; the index is part of mimalloc's interface
     // (`mi_option_purge_delay`).

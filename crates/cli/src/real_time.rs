@@ -1,8 +1,22 @@
 //! Processors, priority and memory of a process, for predictable latencies.
 
 use anyhow::Context as _;
+use clap::Args;
 
-use crate::cli::RealTimeArgs;
+/// How the operating system treats a process.
+#[derive(Debug, Args)]
+pub struct RealTimeArgs {
+    /// Run on these processors only, for example 2,3 or 4-7.
+    #[arg(long, value_name = "LIST", value_parser = CpuList::parse)]
+    pub cpu: Option<CpuList>,
+    /// Run all threads with this real-time priority (SCHED_FIFO), 1 to 99: before all ordinary processes. Requires the right
+    /// to do so.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
+    pub priority: Option<u8>,
+    /// Keep all memory in RAM: nothing is swapped out. Requires the right to do so.
+    #[arg(long)]
+    pub lock_memory: bool,
+}
 
 /// A list of processors.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,7 +27,7 @@ const MAX_CPUS: usize = 1024;
 
 impl CpuList {
     /// Parses numbers and ranges, for example `0,2-4`.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    fn parse(text: &str) -> Result<Self, String> {
         let range = |part: &str| {
             let (first, last) = part.split_once('-').unwrap_or((part, part));
             let [first, last] = [first, last].map(|number| number.trim().parse::<usize>().ok());
@@ -31,40 +45,42 @@ impl CpuList {
     }
 }
 
-/// Applies the options to this thread and those that it will start.
-///
-/// # Errors
-/// Which right is missing and how it is given, or what the system says.
-pub fn apply(args: &RealTimeArgs) -> anyhow::Result<()> {
-    if let Some(CpuList(cpus)) = &args.cpu {
-        system::run_on(cpus).with_context(|| {
-            let usable = std::thread::available_parallelism().map_or(1, usize::from);
-            format!(
-                "--cpu: found {cpus:?}, expected some of the {usable} that this process may use"
-            )
-        })?;
+impl RealTimeArgs {
+    /// Applies the options to this thread and those that it will start.
+    ///
+    /// # Errors
+    /// Which right is missing and how it is given, or what the system says.
+    pub fn apply(&self) -> anyhow::Result<()> {
+        if let Some(CpuList(cpus)) = &self.cpu {
+            system::run_on(cpus).with_context(|| {
+                let usable = std::thread::available_parallelism().map_or(1, usize::from);
+                format!(
+                    "--cpu: found {cpus:?}, expected some of the {usable} that this process may use"
+                )
+            })?;
+        }
+        if let Some(priority) = self.priority {
+            system::prioritize(priority).with_context(|| {
+                format!(
+                    "--priority: found {priority}, expected at most {}, the limit of this process (RLIMIT_RTPRIO): raise it \
+                     with `rtprio` in /etc/security/limits.conf, LimitRTPRIO= in a systemd unit or docker's --ulimit, or \
+                     give the program the capability CAP_SYS_NICE",
+                    system::limit(Limit::Priority)
+                )
+            })?;
+        }
+        if self.lock_memory {
+            system::lock_memory().with_context(|| {
+                format!(
+                    "--lock-memory: this process may lock {} bytes, expected unlimited (RLIMIT_MEMLOCK): raise the limit \
+                     with `memlock` in /etc/security/limits.conf, LimitMEMLOCK= in a systemd unit or docker's --ulimit, or \
+                     give the program the capability CAP_IPC_LOCK",
+                    system::limit(Limit::LockedMemory)
+                )
+            })?;
+        }
+        Ok(())
     }
-    if let Some(priority) = args.priority {
-        system::prioritize(priority).with_context(|| {
-            format!(
-                "--priority: found {priority}, expected at most {}, the limit of this process (RLIMIT_RTPRIO): raise it \
-                 with `rtprio` in /etc/security/limits.conf, LimitRTPRIO= in a systemd unit or docker's --ulimit, or \
-                 give the program the capability CAP_SYS_NICE",
-                system::limit(Limit::Priority)
-            )
-        })?;
-    }
-    if args.lock_memory {
-        system::lock_memory().with_context(|| {
-            format!(
-                "--lock-memory: this process may lock {} bytes, expected unlimited (RLIMIT_MEMLOCK): raise the limit \
-                 with `memlock` in /etc/security/limits.conf, LimitMEMLOCK= in a systemd unit or docker's --ulimit, or \
-                 give the program the capability CAP_IPC_LOCK",
-                system::limit(Limit::LockedMemory)
-            )
-        })?;
-    }
-    Ok(())
 }
 
 /// A limit on what a process may do.

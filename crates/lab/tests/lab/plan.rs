@@ -1,10 +1,10 @@
-//! `eddy plan`: the tasks of a data set, run by several processes that are killed and that get in each other's way.
+//! `eddy-lab plan`: the tasks of a data set, run by several processes that are killed and that get in each other's way.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use tempfile::TempDir;
 
-use crate::support::{Process, fail, succeed, talking_eddy, wait_for};
+use crate::support::{Process, fail, succeed, talking_eddy as talking_lab, wait_for};
 
 /// A plan of scenes, and a folder for it.
 struct Planned {
@@ -48,7 +48,9 @@ impl Planned {
     /// The same scenes from `eddy simulate`.
     fn expected(&self, scenes: &str, duration: &str) -> BTreeMap<String, Vec<u8>> {
         let output = self.path("alone");
-        succeed([&["simulate", "--output", &output][..], &options(scenes, duration)].concat());
+        let mut simulate = Command::new(crate::eddy());
+        simulate.args(["--quiet", "simulate", "--output", &output]).args(options(scenes, duration));
+        assert!(simulate.status().unwrap().success());
         contents(Path::new(&output))
     }
 
@@ -105,7 +107,7 @@ fn a_process_that_is_killed_and_a_second_one_at_the_same_time_do_no_harm() {
     // Long enough to be killed in the middle.
     let planned = Planned::new("2", "40");
     let start = |more: &[&str]| {
-        let mut command = talking_eddy();
+        let mut command = talking_lab();
         command.args(planned.arguments(more));
         let process = Process::start(&mut command);
         let lock = planned.path(if more.is_empty() {

@@ -3,12 +3,12 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use eddy_frames::progress::Progress;
-use indicatif::ProgressBar;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use super::{Interrupt, progress_bar};
+use crate::{Interrupt, terminal};
 
 /// Draws a bar for each task, prints lines above it, and cancels on SIGINT and SIGTERM.
-pub(crate) struct TerminalProgress<'a> {
+pub struct TerminalProgress<'a> {
     interrupt: &'a Interrupt,
     quiet: bool,
     bar: Mutex<Option<ProgressBar>>,
@@ -16,7 +16,7 @@ pub(crate) struct TerminalProgress<'a> {
 
 impl<'a> TerminalProgress<'a> {
     /// No bars and no lines when `quiet`; no bars without a terminal.
-    pub(crate) fn new(quiet: bool, interrupt: &'a Interrupt) -> Self {
+    pub fn new(quiet: bool, interrupt: &'a Interrupt) -> Self {
         Self { interrupt, quiet, bar: Mutex::new(None) }
     }
 
@@ -64,4 +64,17 @@ impl Progress for TerminalProgress<'_> {
     fn cancelled(&self) -> bool {
         self.interrupt.requested()
     }
+}
+
+/// A progress bar with the time left; hidden without a terminal or when `quiet`.
+pub fn progress_bar(length: u64, unit: &str, quiet: bool) -> ProgressBar {
+    let bar = if quiet {
+        ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::hidden())
+    } else {
+        ProgressBar::new(length)
+    };
+    // What a narrow terminal leaves beside the numbers and a message.
+    let width = terminal::columns().saturating_sub(64).clamp(10, 30);
+    let template = format!("{{bar:{width}}} {{pos}}/{{len}} {unit}, {{eta}} left  {{wide_msg}}");
+    bar.with_style(ProgressStyle::with_template(&template).unwrap_or(ProgressStyle::default_bar()))
 }

@@ -1,11 +1,10 @@
 //! Tables of this machine: that they come out, not what is in them.
 
+use std::{io::pipe, process::Stdio};
+
 use serde_json::Value;
 
-use crate::{
-    eval::is_a_page_of_its_own,
-    support::{Stalls, fail, succeed},
-};
+use crate::support::{Stalls, fail, is_a_page_of_its_own, succeed, talking_eddy as talking_lab};
 
 #[test]
 fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
@@ -21,7 +20,7 @@ fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
     let json = succeed(arguments.iter().chain(&quickly).chain(&["--json"]).chain(&html));
     let text = std::fs::read_to_string(&page).unwrap();
     is_a_page_of_its_own(&text);
-    for words in ["eddy bench inference", "bench inference --particles 30", "Machine"] {
+    for words in ["eddy-lab bench inference", "bench inference --particles 30", "Machine"] {
         assert!(text.contains(words), "{words}");
     }
     let report: Value = serde_json::from_str(&json).unwrap();
@@ -149,6 +148,8 @@ fn a_benchmark_without_threads_or_time_is_wrong_usage() {
     assert!(message.contains("--threads"), "{message}");
     let message = fail(2, ["bench", "inference", "--seconds", "0"]);
     assert!(message.contains("seconds: found 0, expected more than 0"), "{message}");
+    let message = fail(2, ["bench", "solver", "--particles", "5"]);
+    assert!(message.contains("particles: found 5"), "{message}");
 }
 
 #[test]
@@ -174,4 +175,16 @@ fn the_lateness_of_replayed_frames_is_told_beside_that_of_a_timer() {
         assert!(0.0 < p50 && p50 <= p99, "{report}");
     }
     assert!(fail(2, ["bench", "replay", "--hertz", "0"]).contains("hertz: found 0"));
+}
+
+#[test]
+fn a_pipe_that_has_closed_is_no_failure() {
+    let (reader, writer) = pipe().unwrap();
+    drop(reader);
+    let mut command = talking_lab();
+    command.args(["bench", "solver", "--particles", "1000", "--threads", "1"]);
+    command.args(["--seconds", "0.01"]).stdout(writer).stderr(Stdio::piped());
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", output.status);
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
 }

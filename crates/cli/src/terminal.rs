@@ -1,4 +1,4 @@
-//! Standard output and standard error of the program.
+//! Standard output and standard error of a program.
 
 use std::{
     borrow::Cow,
@@ -12,27 +12,6 @@ use std::{
 
 /// Columns of a line that is not written to a terminal, or to one that does not tell its size.
 const DEFAULT_COLUMNS: usize = 80;
-
-/// Prints a line, as in the standard library, but without its panic when the reader of a pipe is gone (`| head`, `less`
-/// and `q`): a command must still close its bag or save its checkpoint.
-macro_rules! println {
-    () => { $crate::terminal::print(format_args!("\n")) };
-    ($($arguments:tt)*) => {
-        $crate::terminal::print(format_args!("{}\n", format_args!($($arguments)*)))
-    };
-}
-
-/// Prints lines that already end, as `println`.
-macro_rules! print {
-    ($($arguments:tt)*) => { $crate::terminal::print(format_args!($($arguments)*)) };
-}
-
-/// Prints an error or a warning on standard error, whether or not somebody reads it.
-macro_rules! eprintln {
-    ($($arguments:tt)*) => {
-        $crate::terminal::print_error(format_args!("{}\n", format_args!($($arguments)*)))
-    };
-}
 
 /// Returns to the first column and clears the line.
 const CLEAR: &str = "\r\x1b[2K";
@@ -51,7 +30,7 @@ fn printable(text: &str) -> Cow<'_, str> {
 }
 
 /// Text as it may be shown on one line: as [`print()`] shows it, and with line breaks and tabs escaped.
-pub(crate) fn on_one_line(text: &str) -> Cow<'_, str> {
+pub fn on_one_line(text: &str) -> Cow<'_, str> {
     escaped(text, char::is_control)
 }
 
@@ -70,12 +49,12 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
 }
 
 /// Writes to standard error, whether or not somebody reads it.
-pub(crate) fn print_error(text: fmt::Arguments<'_>) {
+pub fn print_error(text: fmt::Arguments<'_>) {
     let _ = io::stderr().lock().write_all(printable(&text.to_string()).as_bytes());
 }
 
 /// Writes whole lines to standard output, above the status line. Failures are remembered.
-pub(crate) fn print(text: fmt::Arguments<'_>) {
+pub fn print(text: fmt::Arguments<'_>) {
     let text = text.to_string();
     let text = printable(&text);
     let status = lock();
@@ -97,7 +76,7 @@ fn write(text: fmt::Arguments<'_>) {
 }
 
 /// Writes what is still in the buffer of standard output.
-pub(crate) fn flush() {
+pub fn flush() {
     if let Err(error) = io::stdout().lock().flush() {
         failed(error);
     }
@@ -111,25 +90,25 @@ fn failed(error: io::Error) {
 }
 
 /// Whether the reader of standard output is gone, as behind `| head`.
-pub(crate) fn is_closed() -> bool {
+pub fn is_closed() -> bool {
     CLOSED.load(Ordering::Relaxed)
 }
 
 /// Why something could not be printed, other than a closed pipe.
-pub(crate) fn failure() -> Option<&'static io::Error> {
+pub fn failure() -> Option<&'static io::Error> {
     flush();
     FAILURE.get()
 }
 
 /// Whether logs on standard error have colours: on a terminal, unless `NO_COLOR` is set.
-pub(crate) fn has_colors() -> bool {
+pub fn has_colors() -> bool {
     #[expect(clippy::disallowed_methods, reason = "a setting of the terminal, not of the command")]
     let disabled = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     io::stderr().is_terminal() && !disabled
 }
 
 /// Columns of the terminal on standard output.
-pub(crate) fn columns() -> usize {
+pub fn columns() -> usize {
     let size = rustix::termios::tcgetwinsize(io::stdout());
     let columns = size.map_or(0, |size| usize::from(size.ws_col));
     if columns == 0 { DEFAULT_COLUMNS } else { columns }
@@ -137,14 +116,14 @@ pub(crate) fn columns() -> usize {
 
 /// Shows a line at the bottom of the terminal on standard output; it replaces the one before. Lines that are printed or
 /// logged meanwhile appear above it.
-pub(crate) fn show_status(line: &str) {
+pub fn show_status(line: &str) {
     let mut status = lock();
     *status = on_one_line(line).into_owned();
     write(format_args!("{CLEAR}{status}"));
 }
 
 /// Removes the status line.
-pub(crate) fn clear_status() {
+pub fn clear_status() {
     let mut status = lock();
     if !std::mem::take(&mut *status).is_empty() {
         write(format_args!("{CLEAR}"));
@@ -156,7 +135,7 @@ fn lock() -> MutexGuard<'static, String> {
 }
 
 /// Standard error for logs, which moves the status line out of the way.
-pub(crate) struct Log;
+pub struct Log;
 
 impl Write for Log {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -177,7 +156,7 @@ impl Write for Log {
 
 /// Joins the parts of a status line, leaving out the ones with the highest number that do not fit into `columns`; the
 /// last column stays empty, as some terminals wrap after it. Parts are shown in the given order.
-pub(crate) fn fit(parts: &[(u8, String)], separator: &str, columns: usize) -> String {
+pub fn fit(parts: &[(u8, String)], separator: &str, columns: usize) -> String {
     let mut kept: Vec<&(u8, String)> = parts.iter().filter(|(_, text)| !text.is_empty()).collect();
     loop {
         let line = kept.iter().map(|(_, text)| text.as_str()).collect::<Vec<_>>().join(separator);
