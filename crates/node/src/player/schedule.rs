@@ -207,8 +207,8 @@ impl Player {
 
     /// The state of the player `now`.
     pub fn status(&self, now: Duration) -> PlaybackStatus {
-        // Never beyond the next message.
-        let next = self.next_due().unwrap_or(f64::INFINITY);
+        // Never beyond the next message, nor the last one.
+        let next = self.next_due().unwrap_or(self.pass.origin + self.pass.last);
         PlaybackStatus {
             position: self.recorded(self.timeline.position(now).min(next)),
             rate: self.timeline.rate(),
@@ -224,8 +224,8 @@ impl Player {
             return None;
         }
         self.next_tick = (self.next_tick + interval).max(now_ns);
-        // Never beyond the next message.
-        let next = self.next_due().unwrap_or(f64::INFINITY);
+        // Never beyond the next message, nor the last one.
+        let next = self.next_due().unwrap_or(self.pass.origin + self.pass.last);
         Some(self.recorded(self.timeline.position(now).min(next)))
     }
 

@@ -203,6 +203,10 @@ fn the_clock_shows_the_recorded_time_at_its_own_rate() {
     assert_eq!(player.poll(at(99)).unwrap(), Due::In(at(1)));
     assert_eq!(tick(&mut player, at(100)), Some(1_200));
     assert_eq!(tick(&mut player, at(200)), Some(1_400));
+    // However late it is asked, it never shows more than was recorded.
+    assert!(matches!(player.poll(at(300)).unwrap(), Due::Now(_)));
+    assert_eq!(tick(&mut player, at(300)), Some(1_500));
+    assert_eq!(player.poll(at(300)).unwrap(), Due::Never);
 }
 
 #[test]
