@@ -1,4 +1,4 @@
-"""The recurrent cores in PyTorch, with eddy's tensor names; shared by both models.
+"""The recurrent cores in PyTorch, with eddy's tensor names; shared by both models and by the benchmarks.
 
 Letters in shapes: T frames, B windows, N particles, E encoder width, H hidden width. Dropout is not
 implemented: no comparison uses it.
@@ -34,13 +34,25 @@ def recurrence(step: Callable[..., Tensor], carried: Tensor | None, *tracks: Ten
     return torch.stack(states)
 
 
-def positive(candidate: Tensor) -> Tensor:
-    """g(c) of the log form: c + 1/2 for c >= 0, sigmoid(c) below (Feng et al. 2024, appendix B)."""
-    return torch.where(candidate >= 0, candidate + 0.5, torch.sigmoid(candidate))
+def entering(candidate: Tensor, log_form: bool) -> Tensor:
+    """c, or g(c) of the log form: c + 1/2 for c >= 0, sigmoid(c) below (Feng et al. 2024, appendix B)."""
+    return torch.where(candidate >= 0, candidate + 0.5, torch.sigmoid(candidate)) if log_form else candidate
+
+
+def mingru(gate: Tensor, candidate: Tensor, log_form: bool = False) -> tuple[Tensor, Tensor]:
+    """c and z of h_t = (1 - z) h_{t-1} + z c, from the sums of the gate and of the candidate."""
+    return entering(candidate, log_form), torch.sigmoid(gate)
+
+
+def minlstm(forget: Tensor, update: Tensor, candidate: Tensor, log_form: bool = False) -> tuple[Tensor, Tensor]:
+    """c and u = i / (f + i) of h_t = (1 - u) h_{t-1} + u c, from the sums of the gates f and i and of the candidate."""
+    forget, update = torch.sigmoid(forget), torch.sigmoid(update)
+    # Both gates may be zero in f32.
+    return entering(candidate, log_form), update / (forget + update + 1e-12)
 
 
 class MinGRU(nn.Module):
-    """One layer: z = sigmoid(W_z x), c = W_h x, h_t = (1 - z) h_{t-1} + z c."""
+    """One layer, [T, B, inputs] to [T, B, H]; z = sigmoid(W_z x), c = W_h x."""
 
     def __init__(self, inputs: int, hidden: int, log_form: bool) -> None:
         super().__init__()
@@ -49,15 +61,11 @@ class MinGRU(nn.Module):
         self.log_form = log_form
 
     def forward(self, signal: Tensor, carried: Tensor | None = None) -> Tensor:
-        update = torch.sigmoid(self.gate(signal))
-        candidate = self.candidate(signal)
-        if self.log_form:
-            candidate = positive(candidate)
-        return recurrence(torch.lerp, carried, candidate, update)
+        return recurrence(torch.lerp, carried, *mingru(self.gate(signal), self.candidate(signal), self.log_form))
 
 
 class MinLSTM(nn.Module):
-    """One layer: f and i from sigmoids, optionally normalised to f + i = 1, h_t = f h_{t-1} + i c."""
+    """One layer, [T, B, inputs] to [T, B, H]; without normalised gates, h_t = f h_{t-1} + i c."""
 
     def __init__(self, inputs: int, hidden: int, log_form: bool, normalize_gates: bool) -> None:
         super().__init__()
@@ -67,15 +75,11 @@ class MinLSTM(nn.Module):
         self.log_form, self.normalize_gates = log_form, normalize_gates
 
     def forward(self, signal: Tensor, carried: Tensor | None = None) -> Tensor:
-        forget = torch.sigmoid(self.forget_gate(signal))
-        update = torch.sigmoid(self.input_gate(signal))
-        candidate = self.candidate(signal)
-        if self.log_form:
-            candidate = positive(candidate)
+        forget, update, candidate = self.forget_gate(signal), self.input_gate(signal), self.candidate(signal)
         if self.normalize_gates:
-            return recurrence(torch.lerp, carried, candidate, update / (forget + update))
-        entering = update * candidate
-        return recurrence(lambda hidden, f, e: torch.addcmul(e, f, hidden), carried, forget, entering)
+            return recurrence(torch.lerp, carried, *minlstm(forget, update, candidate, self.log_form))
+        new = torch.sigmoid(update) * entering(candidate, self.log_form)
+        return recurrence(lambda hidden, f, e: torch.addcmul(e, f, hidden), carried, torch.sigmoid(forget), new)
 
 
 class MinimalCore(nn.ModuleList):
