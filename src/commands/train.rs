@@ -35,7 +35,6 @@ const BAR_DELAY: f64 = 2.0;
 
 /// Trains a network on the bags at `args.data` and writes the best checkpoint to `args.output`; with several seeds, one
 /// run per seed in a directory there.
-#[expect(clippy::too_many_lines, reason = "the command from its arguments to its report")]
 pub fn run(args: TrainArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     keep_freed_memory();
     let start = args.from.as_deref().map(Checkpoint::load).transpose()?;
