@@ -235,7 +235,7 @@ pub struct BenchInferenceArgs {
 /// `eddy-lab bench training`
 #[derive(Debug, Args)]
 pub struct BenchTrainingArgs {
-    /// A kind of step, WHAT:CORE:FRAMES[:WINDOWS], for example frame:mingru:2 (the whole network) or
+    /// A kind of step, `WHAT:CORE:FRAMES[:WINDOWS]`, for example frame:mingru:2 (the whole network) or
     /// core:lstm:16 (its core alone); can be repeated [default: all recurrent cores, in the network at 2 frames and
     /// alone at 2, 16, 64 and 256].
     #[arg(long, value_name = "STEP")]
