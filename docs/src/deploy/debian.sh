@@ -19,8 +19,8 @@ tree="$work/eddy"
 
 # The build id is a hash over symbol names, which rustc does not choose the same in every build.
 for name in eddy eddy-lab; do
-    strip --remove-section=.note.gnu.build-id -o "$work/$name" "$(dirname "$program")/$name"
-    install -D "$work/$name" "$tree/usr/bin/$name"
+    strip --remove-section=.note.gnu.build-id -o "$work/program" "$(dirname "$program")/$name"
+    install -D "$work/program" "$tree/usr/bin/$name"
 done
 
 "$program" --quiet man "$work/man"
