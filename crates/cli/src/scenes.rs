@@ -10,7 +10,7 @@ use clap::{
     builder::{PossibleValue, PossibleValuesParser},
 };
 use eddy_evaluation::dataset::simulate::{SimulateError, SimulationRequest, Source};
-use eddy_mpm::{Extent, Law, MpmError, ParticleOrder, Preset, Scene, Settings};
+use eddy_mpm::{Extent, ExtentOptions, Law, ParticleOrder, Preset, Scene, Settings};
 use eddy_settings::{self as config, usage::Usage};
 
 use crate::{Device, values};
@@ -129,22 +129,14 @@ impl SceneArgs {
         if self.scene.is_none()
             && let Ok(preset) = Preset::from_str(&self.preset, false)
         {
-            let usage = |error: MpmError| Usage::new(format_args!("--{error}"));
-            let extent = self.particles.map(|particles| Extent::of(preset, particles));
-            let extent = extent.transpose().map_err(usage)?.unwrap_or(Extent::usual(preset));
-            let extent = match self.fill {
-                Some(range) => extent.with_fill(range).map_err(usage)?,
-                None => extent,
+            let options = ExtentOptions {
+                particles: self.particles,
+                fill: self.fill,
+                stiffness: range,
+                same_bodies: self.same_bodies,
             };
-            let extent = match range {
-                Some(range) => extent.with_stiffness(range).map_err(usage)?,
-                None => extent,
-            };
-            return Ok(Source::Random(if self.same_bodies {
-                extent.with_same_bodies()
-            } else {
-                extent
-            }));
+            let usage = |error| Usage::new(format_args!("--{error}"));
+            return Ok(Source::Random(Extent::requested(preset, options).map_err(usage)?));
         }
         if let Some([low, high]) = range {
             let scene = match &self.scene {

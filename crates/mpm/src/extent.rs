@@ -34,7 +34,36 @@ pub struct Extent {
     stiffness: Option<[f32; 2]>,
 }
 
+/// What a request says of its random scenes; what it leaves out is the default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ExtentOptions {
+    /// As in [`Extent::of`].
+    pub particles: Option<usize>,
+    /// As in [`Extent::with_fill`].
+    pub fill: Option<[f32; 2]>,
+    /// As in [`Extent::with_stiffness`].
+    pub stiffness: Option<[f32; 2]>,
+    /// As in [`Extent::with_same_bodies`].
+    pub same_bodies: bool,
+}
+
 impl Extent {
+    /// The extent that a request asks for.
+    ///
+    /// # Errors
+    /// Those of [`Extent::of`], [`Extent::with_fill`] and [`Extent::with_stiffness`].
+    pub fn requested(preset: Preset, options: ExtentOptions) -> Result<Self, MpmError> {
+        let ExtentOptions { particles, fill, stiffness, same_bodies } = options;
+        let mut extent = Self::of(preset, particles.unwrap_or(PARTICLES))?;
+        if let Some(range) = fill {
+            extent = extent.with_fill(range)?;
+        }
+        if let Some(range) = stiffness {
+            extent = extent.with_stiffness(range)?;
+        }
+        Ok(if same_bodies { extent.with_same_bodies() } else { extent })
+    }
+
     /// The default: 2,500 particles in the unit square.
     pub fn usual(preset: Preset) -> Self {
         Self { preset, particles: PARTICLES, same_bodies: false, fill: None, stiffness: None }

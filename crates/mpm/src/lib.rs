@@ -62,7 +62,7 @@ pub use attractor::Attractor;
 pub use body::Body;
 pub use energy::Energy;
 pub use error::{Collapse, Limit, MpmError};
-pub use extent::Extent;
+pub use extent::{Extent, ExtentOptions};
 pub use flow::{Drain, Emitter};
 pub use grid::GridShape;
 pub use material::{Lame, Law, Materials, Moduli};

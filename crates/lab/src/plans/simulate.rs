@@ -9,7 +9,7 @@ use anyhow::ensure;
 use clap::ValueEnum as _;
 use eddy_evaluation::dataset::simulate::{Job, Planned, SimulationRequest, Source};
 use eddy_learning::model::DeviceKind;
-use eddy_mpm::{Extent, Preset, Scene, Settings};
+use eddy_mpm::{Extent, ExtentOptions, Preset, Scene, Settings};
 use eddy_plan::Task;
 use serde::{Deserialize, Serialize};
 
@@ -92,22 +92,13 @@ impl SimulateJob {
             None => {
                 let preset = Preset::from_str(&self.name, false);
                 let preset = preset.map_err(|reason| anyhow::anyhow!("job.name: {reason}"))?;
-                let extent = match self.particles {
-                    Some(particles) if particles != Extent::usual(preset).particles() => {
-                        Extent::of(preset, particles)?
-                    }
-                    _ => Extent::usual(preset),
+                let options = ExtentOptions {
+                    particles: self.particles,
+                    fill: self.fill,
+                    stiffness: self.stiffness,
+                    same_bodies: self.same_bodies,
                 };
-                let extent = match self.fill {
-                    Some(range) => extent.with_fill(range)?,
-                    None => extent,
-                };
-                let extent = match self.stiffness {
-                    Some(range) => extent.with_stiffness(range)?,
-                    None => extent,
-                };
-                let same = self.same_bodies;
-                Source::Random(if same { extent.with_same_bodies() } else { extent })
+                Source::Random(Extent::requested(preset, options)?)
             }
         };
         Ok(SimulationRequest {
