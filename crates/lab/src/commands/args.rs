@@ -250,7 +250,7 @@ pub struct BenchTrainingArgs {
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
-    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    #[arg(long, value_enum, default_value_t)]
     pub precision: Precision,
     /// Print JSON instead of tables.
     #[arg(long)]
@@ -298,6 +298,6 @@ pub struct StudyChoice {
     #[arg(long, value_enum, default_value_t = DeviceKind::Flex)]
     pub device: DeviceKind,
     /// Precision of products on an NVIDIA GPU: factors rounded to TF32 on tensor cores, or FP32.
-    #[arg(long, value_enum, default_value_t = Precision::Tf32)]
+    #[arg(long, value_enum, default_value_t)]
     pub precision: Precision,
 }

@@ -2,12 +2,10 @@
 
 use eddy_inference::{checkpoint::Activation, kernels::linear::Linear};
 
-use super::trainer::Move;
+use super::trainer::{BETAS, Move};
 
-/// Decay of the first moment: 1 - beta_1.
-const FIRST: f32 = 0.1;
-/// Decay of the second moment: 1 - beta_2.
-const SECOND: f32 = 0.001;
+/// Shares of a new gradient in the first and the second moment.
+const SHARES: [f32; 2] = [(1.0 - BETAS[0]) as f32, (1.0 - BETAS[1]) as f32];
 
 /// The network.
 pub(super) struct Network {
@@ -99,12 +97,13 @@ impl Tensor {
 
     fn change(&mut self, gradient: &[f32], by: Move) {
         let Move { rate, correction, epsilon } = by;
+        let [first_share, second_share] = SHARES;
         let moments = self.first.iter_mut().zip(&mut self.second);
         for ((value, (first, second)), gradient) in
             self.values.iter_mut().zip(moments).zip(gradient)
         {
-            *first += FIRST * (gradient - *first);
-            *second += SECOND * (gradient * gradient - *second);
+            *first += first_share * (gradient - *first);
+            *second += second_share * (gradient * gradient - *second);
             *value -= rate * *first / (second.sqrt() * correction + epsilon);
         }
     }

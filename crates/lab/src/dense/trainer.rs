@@ -14,7 +14,7 @@ use eddy_inference::checkpoint::Activation;
 use eddy_learning::train::{TrainConfig, TrainError};
 
 /// Decays of Adam's moments.
-const BETAS: [f64; 2] = [0.9, 0.999];
+pub(super) const BETAS: [f64; 2] = [0.9, 0.999];
 
 /// How Adam moves: its rate and 1 / sqrt(1 - beta_2^t), both corrected for the start from zero, and its epsilon.
 #[cfg(not(feature = "cuda"))]

@@ -6,6 +6,17 @@ use serde_json::Value;
 
 use crate::support::{Stalls, fail, is_a_page_of_its_own, succeed, talking_eddy as talking_lab};
 
+/// Runs a benchmark. Returns its report and the page it writes, which loads nothing from elsewhere.
+fn report_and_page(arguments: &[&str]) -> (Value, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("bench.html");
+    let output = ["--json", "--html", page.to_str().unwrap()];
+    let json = succeed(arguments.iter().chain(&output));
+    let text = std::fs::read_to_string(&page).unwrap();
+    is_a_page_of_its_own(&text);
+    (serde_json::from_str(&json).unwrap(), text)
+}
+
 #[test]
 fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
     let arguments = ["bench", "inference", "--particles", "30", "--core", "mingru"];
@@ -14,16 +25,10 @@ fn a_predicted_frame_is_timed_on_the_engine_and_in_burn() {
     let header = ["model", "core", "weights", "floor, 2", "engine, 1", "engine, 2", "flex"];
     assert!(header.iter().all(|title| table.contains(title)), "{table}");
 
-    let folder = tempfile::tempdir().unwrap();
-    let page = folder.path().join("bench.html");
-    let html = ["--html", page.to_str().unwrap()];
-    let json = succeed(arguments.iter().chain(&quickly).chain(&["--json"]).chain(&html));
-    let text = std::fs::read_to_string(&page).unwrap();
-    is_a_page_of_its_own(&text);
+    let (report, text) = report_and_page(&[&arguments[..], &quickly].concat());
     for words in ["eddy-lab bench inference", "bench inference --particles 30", "Machine"] {
         assert!(text.contains(words), "{words}");
     }
-    let report: Value = serde_json::from_str(&json).unwrap();
     let timings = report["timings"].as_array().unwrap();
     let named = |timing: &Value| format!("{} {}", timing["architecture"], timing["engine"]);
     let expected = [
@@ -77,14 +82,8 @@ fn bags_are_timed_and_what_was_written_is_removed() {
 #[test]
 fn frames_on_their_way_are_timed_beside_the_middleware_alone() {
     let arguments = ["bench", "transport", "--transport", "shm,zenoh", "--particles", "100"];
-    let folder = tempfile::tempdir().unwrap();
-    let page = folder.path().join("bench.html");
-    let html = ["--html", page.to_str().unwrap()];
-    let json = succeed(arguments.iter().chain(&["--messages", "5", "--json"]).chain(&html));
-    let text = std::fs::read_to_string(&page).unwrap();
-    is_a_page_of_its_own(&text);
+    let (report, text) = report_and_page(&[&arguments[..], &["--messages", "5"]].concat());
     assert!(text.contains("<svg viewBox") && text.contains("zenoh, bytes"), "{text}");
-    let report: Value = serde_json::from_str(&json).unwrap();
     let timings = report["timings"].as_array().unwrap();
     let named = |timing: &Value| format!("{} {}", timing["transport"], timing["way"]);
     let expected = [
