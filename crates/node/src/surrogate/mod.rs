@@ -14,7 +14,8 @@
 //! 9. [`group`]: nodes that share streams.
 //! 10. [`time`]: system time or `/clock`.
 //! 11. [`driver`]: the loop that receives, predicts and publishes. `running`: its predicting side. `sink`: its publishing
-//!     side, which survives the `failures` of outputs. `load`: whether it keeps up; `warnings`: when that is said.
+//!     side. `failures`: logs errors of outputs; the node continues after them. `load`: measures whether the node keeps up
+//!     with its input. `warnings`: logs missing and dropped frames.
 //! 12. [`links`]: input and outputs. [`outputs`]: the topics that belong to an output. [`publishers`]: opens them. [`live`]:
 //!     a node with all of them open.
 
