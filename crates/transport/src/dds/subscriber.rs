@@ -4,7 +4,8 @@
 //! error. A reader that requests less gets neither repairs nor the messages that writers keep for late-joining readers.
 //! So there is a reader for each kind of writers ([`Kind`]): it is opened when their first writer appears, receives
 //! their messages and no others, and is closed when writers of other kinds are left only. Before the first writer
-//! appears, the reader is reliable and volatile.
+//! appears, the reader is reliable and volatile; beside writers that keep messages it stays, since a volatile writer that
+//! is not discovered yet may have matched it, and what that writer sends before it matches another reader would be lost.
 
 use std::{
     collections::BTreeMap,
@@ -135,6 +136,12 @@ impl Kind {
         }
     }
 
+    /// Whether its reader is to be closed while there are writers of the kinds `needed`.
+    fn is_superfluous(self, needed: &[Self]) -> bool {
+        let may_be_matched = self == Self::Reliable && needed.iter().all(|&it| it == Self::Latched);
+        !needed.is_empty() && !needed.contains(&self) && !may_be_matched
+    }
+
     /// Of its reader's events; the waker has 0.
     fn token(self) -> Token {
         Token(1 + self as usize)
@@ -197,11 +204,9 @@ impl Receiver {
                 self.readers[kind as usize] = Some(reader);
             }
         }
-        for kind in Kind::ALL {
-            if !needed.is_empty() && !needed.contains(&kind) {
-                self.drain(kind);
-                self.close(kind, registry);
-            }
+        for kind in Kind::ALL.into_iter().filter(|kind| kind.is_superfluous(&needed)) {
+            self.drain(kind);
+            self.close(kind, registry);
         }
         Ok(())
     }
@@ -340,6 +345,24 @@ mod tests {
         ];
         for (offered, kind) in cases {
             assert_eq!(Kind::of(&offered), kind, "{offered:?}");
+        }
+    }
+
+    #[test]
+    fn readers_are_closed_beside_writers_of_other_kinds_unless_a_volatile_writer_may_have_matched_them()
+     {
+        use Kind::{BestEffort, Latched, Reliable};
+        let cases: [(&[Kind], &[Kind]); 6] = [
+            (&[], &[]),
+            (&[Latched], &[BestEffort]),
+            (&[Reliable], &[Latched, BestEffort]),
+            (&[BestEffort], &[Latched, Reliable]),
+            (&[Latched, BestEffort], &[Reliable]),
+            (&[Latched, Reliable, BestEffort], &[]),
+        ];
+        for (needed, closed) in cases {
+            let found = Kind::ALL.into_iter().filter(|kind| kind.is_superfluous(needed));
+            assert_eq!(found.collect::<Vec<_>>(), closed, "{needed:?}");
         }
     }
 
