@@ -121,7 +121,7 @@ fn text(program: &dyn Program) -> String {
     for (name, value) in program.definitions() {
         text += &format!("#define {name} {value}\n");
     }
-    text += program.source();
+    text += &program.source();
     text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(unsigned kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
     let kernels = program.kernels();
     for (number, kernel) in

@@ -74,16 +74,21 @@ fn programs() -> Result<Vec<Named>, CudaError> {
         one_hot: true,
         encoder: 256,
         hidden: 1250,
+        core: Core::MinGru,
         activation: Activation::Elu,
         pooling: Pooling::Mean,
         output: FrameOutput::Displacement,
         form: Form::Plain,
         normalized: true,
     };
-    let log = Constants { form: Form::Log, normalized: false, one_hot: false, ..paper.clone() };
+    let log = Constants { form: Form::Log, one_hot: false, ..paper.clone() };
+    let plain = Constants { core: Core::MinLstm, normalized: false, ..log.clone() };
     let maximum = Constants { pooling: Pooling::MeanMax, ..paper.clone() };
-    let variants = [("paper", paper.clone()), ("log", log), ("maximum", maximum)];
-    let variants = variants.into_iter().chain(
+    let variants = [("log", log), ("plain", plain), ("maximum", maximum)];
+    let variants = variants
+        .into_iter()
+        .chain(Core::ALL.map(|core| (core.name(), Constants { core, ..paper.clone() })));
+    let variants = variants.chain(
         Activation::ALL.map(|kind| (kind.name(), Constants { activation: kind, ..paper.clone() })),
     );
     let variants = variants.chain(

@@ -17,12 +17,12 @@ use crate::{
 };
 use eddy_inference::checkpoint::Activation;
 
-/// The kernels' text.
-const SOURCE: &str = concat!(
+/// The kernels' text, in parts.
+const SOURCE: [&str; 3] = [
     include_str!("kernels/base.cu"),
     include_str!("kernels/common.cu"),
     include_str!("kernels/dense.cu"),
-);
+];
 /// Threads of a block of the kernels of activations, and of the others.
 const THREADS: [usize; 2] = [128, 256];
 
@@ -41,8 +41,8 @@ fn columns(numbers: usize) -> usize {
 }
 
 impl Program for Constants {
-    fn source(&self) -> &'static str {
-        SOURCE
+    fn source(&self) -> String {
+        SOURCE.concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {

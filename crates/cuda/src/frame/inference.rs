@@ -8,7 +8,7 @@
 use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
 use eddy_inference::{
-    checkpoint::{Core, Description, Weights},
+    checkpoint::{Description, Weights},
     engine::StreamStart,
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -49,7 +49,6 @@ const COPY_THREADS: usize = 4;
 pub struct Inference {
     device: Arc<dyn Device>,
     constants: Constants,
-    core: Core,
     layout: Layout,
     /// `struct Motion` of the kernels.
     motion: [[f32; AXES]; 6],
@@ -92,8 +91,7 @@ impl Inference {
     ) -> Result<Self> {
         let constants = Constants::of(description)?;
         let layout = Layout::new(description, &constants);
-        let (core, particles, wide) =
-            (description.core, constants.particles, constants.hidden_columns());
+        let (particles, wide) = (constants.particles, constants.hidden_columns());
         let numbers = |count: usize| device.allocate(4 * count);
         let parts = layout
             .packing
@@ -120,12 +118,11 @@ impl Inference {
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<[u64; 3]>())?,
             host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
-            idle: Memory::new(device.clone(), &constants, &layout, core, &vec![0; particles])?,
+            idle: Memory::new(device.clone(), &constants, &layout, &vec![0; particles])?,
             threads: copy_threads(None, COPY_THREADS),
             graphs: Graphs::new(SIZES.len()),
             motion: motion(description),
             constants,
-            core,
             layout,
             device,
         };
@@ -359,35 +356,26 @@ impl Inference {
         let signal = self.signal.address();
         let input = if layer == 0 { self.input.address() } else { signal };
         let wide = self.constants.hidden_columns();
-        if self.core == Core::Mlp {
-            return self.linear(matrix, [input, signal], wide, true, rows);
-        }
         let [parts, recurrent_parts] = &self.parts;
-        let states = self.before.address().plus(layer * rows * wide);
+        let before = self.before.address().plus(layer * rows * wide);
         let count = self.product(matrix, input, parts, rows)?;
         if let Some(recurrent) = recurrent {
-            self.product(recurrent, states, recurrent_parts, rows)?;
+            self.product(recurrent, before, recurrent_parts, rows)?;
         }
-        let kernel = match self.core {
-            Core::Mlp | Core::MinGru => Kernel::MinGruStreams,
-            Core::MinLstm => Kernel::MinLstmStreams,
-            Core::Gru => Kernel::GruStreams,
-            Core::Lstm => Kernel::LstmStreams,
-        };
-        let mut arguments: Vec<Argument> = vec![parts.address().into()];
-        if recurrent.is_some() {
-            arguments.push(recurrent_parts.address().into());
-        }
-        if self.core != Core::Lstm {
-            arguments.push(states.into());
-        }
-        let rest: [Argument; 4] =
-            [self.rows.address().into(), signal.into(), count.into(), layer.into()];
-        arguments.extend(rest);
-        if self.core == Core::Lstm {
-            arguments.push(self.layout.core.len().into());
-        }
-        self.launch(kernel, self.units(rows), &arguments)
+        self.launch(
+            Kernel::CellsStreams,
+            self.units(rows),
+            &[
+                parts.address().into(),
+                recurrent_parts.address().into(),
+                before.into(),
+                self.rows.address().into(),
+                signal.into(),
+                count.into(),
+                layer.into(),
+                self.layout.core.len().into(),
+            ],
+        )
     }
 }
 
@@ -397,8 +385,8 @@ impl StreamModel for Inference {
     const MOST: usize = MOST_STREAMS;
 
     fn memory(&mut self, stream: &StreamStart<'_>) -> Result<Memory> {
-        let Self { device, constants, layout, core, .. } = self;
-        Memory::new(Arc::clone(device), constants, layout, *core, stream.material)
+        let Self { device, constants, layout, .. } = self;
+        Memory::new(Arc::clone(device), constants, layout, stream.material)
     }
 
     fn step(&mut self, steps: &mut [Step<'_, Memory>]) -> Result<()> {

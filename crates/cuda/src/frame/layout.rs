@@ -10,7 +10,7 @@
 
 use std::collections::BTreeMap;
 
-use eddy_inference::checkpoint::{Core, Description, Weights, layout};
+use eddy_inference::checkpoint::{Description, Weights, layout};
 
 use crate::{
     kernels::Constants,
@@ -52,24 +52,16 @@ impl Layout {
         let pooled = matrix(one("encoder.1", hidden), encoder, constants.pooled_columns(), wide);
         let core = description.core;
         let layers = (0..description.sizes.layers).map(|layer| {
-            let parts: Vec<Part> = layout::core_parts(core)
-                .iter()
-                .map(|&(name, gates)| part(layout::core_names(core, layer, name), gates, hidden))
-                .collect();
+            let named = |name: &str, gates| part(core.tensors(layer, name), gates, hidden);
+            let parts = core.input_parts().iter().map(|&(name, gates)| named(name, gates));
             let (inputs, rows) = match layer {
                 0 => (constants.core_inputs(), constants.input_columns()),
                 _ => (hidden, wide),
             };
-            match core {
-                Core::Gru | Core::Lstm => {
-                    let [input, recurrent] =
-                        [0, 1].map(|number: usize| vec![parts[number].clone()]);
-                    (matrix(input, inputs, rows, wide), Some(matrix(recurrent, hidden, wide, wide)))
-                }
-                Core::Mlp | Core::MinGru | Core::MinLstm => {
-                    (matrix(parts, inputs, rows, wide), None)
-                }
-            }
+            let input = matrix(parts.collect(), inputs, rows, wide);
+            let recurrent = core.recurrent_part();
+            let recurrent = recurrent.map(|name| vec![named(name, core.gates())]);
+            (input, recurrent.map(|parts| matrix(parts, hidden, wide, wide)))
         });
         let layers = layers.collect();
         let mixer = matrix(one("mixer", hidden), hidden, wide, wide);
@@ -94,7 +86,7 @@ mod tests {
 
     use super::*;
     use eddy_inference::checkpoint::{
-        Architecture, MaterialInput, Pooling, Sizes, initial_weights, layout::linear_layers,
+        Architecture, Core, MaterialInput, Pooling, Sizes, initial_weights, layout::linear_layers,
     };
 
     proptest! {

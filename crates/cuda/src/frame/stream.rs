@@ -2,8 +2,6 @@
 
 use std::sync::Arc;
 
-use eddy_inference::checkpoint::Core;
-
 use super::{data::by_material, layout::Layout};
 use crate::{
     device::{Address, Buffer, Device},
@@ -28,10 +26,9 @@ impl Memory {
         device: Arc<dyn Device>,
         constants: &Constants,
         layout: &Layout,
-        core: Core,
         material: &[u8],
     ) -> Result<Self> {
-        let layers = layout.core.len() * if core == Core::Lstm { 2 } else { 1 };
+        let layers = layout.core.len() * constants.core.states();
         let widths = [constants.hidden_columns(), constants.hidden];
         let particles = material.len();
         let [order, segments] = by_material(material);

@@ -17,7 +17,7 @@ mod update;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use eddy_inference::checkpoint::{Core, Description, Weights};
+use eddy_inference::checkpoint::{Description, Weights};
 
 use super::{
     data::{Bodies, Store},
@@ -27,7 +27,7 @@ use crate::{
     device::{Buffer, Device, MOST_BLOCKS, Queue},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::{AXES, Constants, Kernel, MATERIALS, gates, motion, scaling},
+    kernels::{AXES, Constants, Kernel, MATERIALS, motion, scaling},
     training::{Batch, GROUP, InTraining, Optimizer, Settings, Tables},
 };
 use maximum::Maximum;
@@ -43,20 +43,16 @@ const MOST_NODES: usize = 110;
 struct LayerMemory {
     /// Gates, later gradients by them, `[T, B, gates * HP]`.
     sums: Buffer,
-    /// States, the one before the first frame first, `[T + 1, B, HP]`; of the MLP unused.
+    /// States, the one before the first frame first: outputs, then the cells of LSTM, `[states, T + 1, B, HP]`.
     states: Buffer,
-    /// LSTM: cells, like states.
-    cells: Option<Buffer>,
-    /// GRU: gates from the last output, `[T, B, 3 HP]`.
+    /// Of a recurrent core: gates from the last output, later gradients by them, `[T, B, gates * HP]`.
     recurrent: Option<Buffer>,
     /// Outputs after dropout, `[T, B, HP]`; without dropout the states.
     dropped: Option<Buffer>,
     /// Gradient by the outputs, `[T, B, HP]`.
     gradient: Buffer,
-    /// Gradient by the last state from later frames, `[B, HP]`.
+    /// Gradient by the last state from later frames, `[states, B, HP]`.
     carried: Buffer,
-    /// LSTM: the same by the cell.
-    carried_cell: Option<Buffer>,
 }
 
 /// Windows that are fetched out of the memory of the host.
@@ -75,7 +71,6 @@ pub struct Training {
     staging: Option<Staging>,
     settings: Settings,
     constants: Constants,
-    core: Core,
     layout: Layout,
     /// `struct Motion` of the kernels.
     motion: [[f32; AXES]; 6],
@@ -160,17 +155,15 @@ impl Training {
 
         let numbers = |count: usize| device.allocate(4 * count);
         let optional = |is: bool, count: usize| is.then(|| numbers(count)).transpose();
-        let recurrent = matches!(core, Core::Gru | Core::Lstm);
+        let recurrent = core.recurrent_part().is_some();
         let layer = || -> Result<LayerMemory> {
             let memory = LayerMemory {
-                sums: numbers(rows * gates(core) * wide)?,
-                states: numbers((frames + 1) * batch * wide)?,
-                cells: optional(core == Core::Lstm, (frames + 1) * batch * wide)?,
-                recurrent: optional(core == Core::Gru, rows * gates(core) * wide)?,
+                sums: numbers(rows * core.gates() * wide)?,
+                states: numbers(core.states() * (frames + 1) * batch * wide)?,
+                recurrent: optional(recurrent, rows * core.gates() * wide)?,
                 dropped: optional(settings.dropout > 0.0, rows * wide)?,
                 gradient: numbers(rows * wide)?,
-                carried: numbers(batch * wide)?,
-                carried_cell: optional(core == Core::Lstm, batch * wide)?,
+                carried: numbers(core.states() * batch * wide)?,
             };
             if recurrent {
                 // The ones that the bias of W_hh is multiplied by.
@@ -226,7 +219,6 @@ impl Training {
             grid: [description.domain.lower, [cell(0), cell(1)]],
             chunks,
             settings: settings.clone(),
-            core,
             layout,
             constants,
             store,
@@ -324,9 +316,7 @@ impl Training {
         segments.iter().try_for_each(|&(first, frames)| self.forward(first, frames))?;
         self.loss()?;
         for layer in &self.layers {
-            for carried in std::iter::once(&layer.carried).chain(&layer.carried_cell) {
-                self.device.clear(Queue::Main, carried)?;
-            }
+            self.device.clear(Queue::Main, &layer.carried)?;
         }
         segments.iter().rev().try_for_each(|&(first, frames)| self.backward(first, frames))?;
         self.device.wait(Queue::Main, Queue::Side)?;

@@ -117,11 +117,11 @@ impl Gpu {
             let _guard = recordings.wait();
             context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData")
         };
-        let module = match load(compile::cached(source, &definitions, target, cache)?) {
+        let module = match load(compile::cached(&source, &definitions, target, cache)?) {
             Ok(module) => module,
             // A damaged file, or one of another compiler of the same version.
             Err(_) if cache.is_some() => {
-                load(compile::compiled_anew(source, &definitions, target, cache)?)?
+                load(compile::compiled_anew(&source, &definitions, target, cache)?)?
             }
             Err(error) => return Err(error),
         };

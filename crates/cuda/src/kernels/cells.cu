@@ -1,7 +1,8 @@
-// The recurrent cells. `states` is [frames + 1, B, HP], the state before the first frame first; sums are
-// [frames, B, gates * HP], gates side by side. `d_output` is the gradient by the outputs of these frames,
-// `carried` [B, HP] the gradient by the last state from later frames; it leaves as the gradient by the state
-// before the first frame. Gradients by the sums replace the sums.
+// A layer of the core over frames, of a recurrent core over one. `states` are [STATES, .., B, HP], `list` numbers from outputs to cells,
+// the state before the first frame first; sums are [frames, B, GATES * HP], gates side by side, and so is `recurrent`: the products of
+// the last outputs. `d_output` is the gradient by the outputs of these frames, `carried` [STATES, B, HP] the gradient by the last state from
+// later frames, that through the products included; it leaves as the gradient by the state before the first frame, without the
+// products' part of this frame. Gradients by the sums replace the sums and the products.
 // A thread has a unit of a window: grid (ceil(HP / 128), B), block 128.
 
 #define UNIT                                                           \
@@ -9,91 +10,66 @@
   if (j >= HP) return;                                                 \
   const size_t block = (size_t)batch * HP, at = (size_t)b * HP + j;
 
-extern "C" __global__ void mingru_forward(const float* __restrict__ sums, float* __restrict__ states, int frames) {
+// Forwards, gates that the gradient needs take the place of their sums.
+extern "C" __global__ void cells_forward(float* __restrict__ sums, const float* __restrict__ recurrent, float* __restrict__ states, u64 list, int frames) {
   UNIT
-  float h = j < H ? states[at] : 0.0f;
+  float state[STATES];
+#pragma unroll
+  for (int i = 0; i < STATES; i++) state[i] = j < H ? states[i * list + at] : 0.0f;
 #pragma unroll 4
   for (int t = 0; t < frames; t++) {
-    const float* gates = sums + ((size_t)t * batch + b) * 2 * HP + j;
-    h = mingru(gates[0], gates[HP], h);
-    states[(t + 1) * block + at] = padded(j, h);
+    const size_t first = ((size_t)t * batch + b) * GATES * HP + j;
+    float own[GATE_SUMS];
+#pragma unroll
+    for (int gate = 0; gate < GATES; gate++) {
+      own[gate] = sums[first + gate * HP];
+#if RECURRENT
+      if (gate == SPLIT_GATE) own[GATE_SUMS - 1] = recurrent[first + gate * HP];
+      else own[gate] += recurrent[first + gate * HP];
+#endif
+    }
+    cell_forward(own, state);
+#if RECURRENT
+#pragma unroll
+    for (int gate = 0; gate < GATES; gate++) sums[first + gate * HP] = own[gate];
+#endif
+    states[(t + 1) * block + at] = padded(j, state[0]);
+#pragma unroll
+    for (int i = 1; i < STATES; i++) states[i * list + (t + 1) * block + at] = j < H ? state[i] : 0.0f;
   }
 }
-extern "C" __global__ void mingru_backward(float* __restrict__ sums, const float* __restrict__ states,
+extern "C" __global__ void cells_backward(float* __restrict__ sums, float* __restrict__ recurrent, const float* __restrict__ states, u64 list,
     const float* __restrict__ d_output, float* __restrict__ carried, int frames) {
   UNIT
-  float carry = carried[at];
+  float by[STATES];
+#pragma unroll
+  for (int i = 0; i < STATES; i++) by[i] = j < H ? carried[i * block + at] : 0.0f;
 #pragma unroll 4
   for (int t = frames - 1; t >= 0; t--) {
-    float* gates = sums + ((size_t)t * batch + b) * 2 * HP + j;
-    const float d = j < H ? carry + d_output[t * block + at] : 0.0f;
-    carry = mingru_gradient(gates[0], gates[HP], states[t * block + at], d);
+    const size_t first = ((size_t)t * batch + b) * GATES * HP + j;
+    float own[GATE_SUMS], last[STATES], next[STATES];
+#pragma unroll
+    for (int gate = 0; gate < GATES; gate++) own[gate] = sums[first + gate * HP];
+#if RECURRENT
+    if (SPLIT_GATE < GATES) own[GATE_SUMS - 1] = recurrent[first + SPLIT_GATE * HP];
+#endif
+#pragma unroll
+    for (int i = 0; i < STATES; i++) {
+      last[i] = states[i * list + t * block + at];
+      next[i] = states[i * list + (t + 1) * block + at];
+    }
+    by[0] = j < H ? by[0] + d_output[t * block + at] : 0.0f;
+    cell_gradient(own, last, next, by);
+#pragma unroll
+    for (int gate = 0; gate < GATES; gate++) {
+      sums[first + gate * HP] = own[gate];
+#if RECURRENT
+      recurrent[first + gate * HP] = own[gate == SPLIT_GATE ? GATE_SUMS - 1 : gate];
+#endif
+    }
   }
-  carried[at] = carry;
-}
-
-extern "C" __global__ void minlstm_forward(const float* __restrict__ sums, float* __restrict__ states, int frames) {
-  UNIT
-  float h = j < H ? states[at] : 0.0f;
-#pragma unroll 4
-  for (int t = 0; t < frames; t++) {
-    const float* gates = sums + ((size_t)t * batch + b) * 3 * HP + j;
-    h = minlstm(gates[0], gates[HP], gates[2 * HP], h);
-    states[(t + 1) * block + at] = padded(j, h);
-  }
-}
-extern "C" __global__ void minlstm_backward(float* __restrict__ sums, const float* __restrict__ states,
-    const float* __restrict__ d_output, float* __restrict__ carried, int frames) {
-  UNIT
-  float carry = carried[at];
-#pragma unroll 4
-  for (int t = frames - 1; t >= 0; t--) {
-    float* gates = sums + ((size_t)t * batch + b) * 3 * HP + j;
-    const float before = j < H ? states[t * block + at] : 0.0f;
-    const float d = j < H ? carry + d_output[t * block + at] : 0.0f;
-    carry = minlstm_gradient(gates[0], gates[HP], gates[2 * HP], before, d);
-  }
-  carried[at] = carry;
-}
-
-// One frame: `inputs` become r, z, n; `recurrent` keeps n_h.
-extern "C" __global__ void gru_forward(float* __restrict__ inputs, const float* __restrict__ recurrent, float* __restrict__ states) {
-  UNIT
-  float* x = inputs + (size_t)b * 3 * HP + j;
-  const float* y = recurrent + (size_t)b * 3 * HP + j;
-  x[0] += y[0];
-  x[HP] += y[HP];
-  states[block + at] = padded(j, gru(x[0], x[HP], x[2 * HP], y[2 * HP], j < H ? states[at] : 0.0f));
-}
-// `carried` holds the gradient by the state, that through the product with W_hh included; it leaves without the
-// product's part of this frame.
-extern "C" __global__ void gru_backward(float* __restrict__ inputs, float* __restrict__ recurrent, const float* __restrict__ states,
-    const float* __restrict__ d_output, float* __restrict__ carried) {
-  UNIT
-  float* x = inputs + (size_t)b * 3 * HP + j;
-  float* y = recurrent + (size_t)b * 3 * HP + j;
-  carried[at] = gru_gradient(x[0], x[HP], x[2 * HP], y[2 * HP], states[at], j < H ? carried[at] + d_output[at] : 0.0f);
-  y[0] = x[0];
-  y[HP] = x[HP];
-}
-
-// One frame: `sums` (i, f, g, o) become the gates; `cells` is like `states`.
-extern "C" __global__ void lstm_forward(float* __restrict__ sums, float* __restrict__ states, float* __restrict__ cells) {
-  UNIT
-  float* gates = sums + (size_t)b * 4 * HP + j;
-  float cell = cells[at];
-  const float h = lstm(gates[0], gates[HP], gates[2 * HP], gates[3 * HP], cell);
-  cells[block + at] = j < H ? cell : 0.0f;
-  states[block + at] = padded(j, h);
-}
-extern "C" __global__ void lstm_backward(float* __restrict__ sums, const float* __restrict__ cells, const float* __restrict__ d_output,
-    float* __restrict__ carried, float* __restrict__ carried_cell) {
-  UNIT
-  float* gates = sums + (size_t)b * 4 * HP + j;
-  float by_cell = j < H ? carried_cell[at] : 0.0f;
-  const float d = j < H ? carried[at] + d_output[at] : 0.0f;
-  lstm_gradient(gates[0], gates[HP], gates[2 * HP], gates[3 * HP], cells[at], cells[block + at], d, by_cell);
-  carried_cell[at] = by_cell;
+#pragma unroll
+  for (int i = 0; i < STATES; i++) carried[i * block + at] = by[i];
 }
 
 // The activation in place, and its gradient. grid (ceil(HP / 128), batch, frames), block 128

@@ -139,46 +139,29 @@ extern "C" __global__ void linear_streams(const float* __restrict__ parts, float
   const float y = product_sum(parts, count, batch, b, HP, j);
   signal[(size_t)b * stride + j] = padded(j, active ? activate(y) : y);
 }
-// Layer `layer` of a core. `states` are [B, HP], those before the frame; the new ones go to the streams.
-extern "C" __global__ void mingru_streams(const float* __restrict__ parts, const float* __restrict__ states, const Row* __restrict__ rows,
-    float* __restrict__ signal, int count, int layer) {
+// Layer `layer` of `layers` of a core, from the parts of the products with its input and, of a recurrent core, with its last outputs.
+// `before` are [B, HP], the outputs before the frame; the new state goes to the streams.
+extern "C" __global__ void cells_streams(const float* __restrict__ parts, const float* __restrict__ recurrent, const float* __restrict__ before,
+    const Row* __restrict__ rows, float* __restrict__ signal, int count, int layer, int layers) {
   STREAM_UNIT
-  const float z = product_sum(parts, count, batch, b, 2 * HP, j), c = product_sum(parts, count, batch, b, 2 * HP, HP + j);
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, mingru(z, c, states[at]));
-}
-extern "C" __global__ void minlstm_streams(const float* __restrict__ parts, const float* __restrict__ states, const Row* __restrict__ rows,
-    float* __restrict__ signal, int count, int layer) {
-  STREAM_UNIT
-  const float f = product_sum(parts, count, batch, b, 3 * HP, j), i = product_sum(parts, count, batch, b, 3 * HP, HP + j);
-  const float c = product_sum(parts, count, batch, b, 3 * HP, 2 * HP + j);
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, minlstm(f, i, c, states[at]));
-}
-// `recurrent` are the parts of the product with W_hh.
-extern "C" __global__ void gru_streams(const float* __restrict__ parts, const float* __restrict__ recurrent, const float* __restrict__ states,
-    const Row* __restrict__ rows, float* __restrict__ signal, int count, int layer) {
-  STREAM_UNIT
-  float x[3], y[3];
+  float sums[GATE_SUMS], state[STATES];
 #pragma unroll
-  for (int gate = 0; gate < 3; gate++) {
-    x[gate] = product_sum(parts, count, batch, b, 3 * HP, gate * HP + j);
-    y[gate] = product_sum(recurrent, count, batch, b, 3 * HP, gate * HP + j);
+  for (int gate = 0; gate < GATES; gate++) {
+    sums[gate] = product_sum(parts, count, batch, b, GATES * HP, gate * HP + j);
+#if RECURRENT
+    const float product = product_sum(recurrent, count, batch, b, GATES * HP, gate * HP + j);
+    if (gate == SPLIT_GATE) sums[GATE_SUMS - 1] = product;
+    else sums[gate] += product;
+#endif
   }
-  x[0] += y[0];
-  x[1] += y[1];
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, gru(x[0], x[1], x[2], y[2], states[at]));
-}
-extern "C" __global__ void lstm_streams(const float* __restrict__ parts, const float* __restrict__ recurrent, const Row* __restrict__ rows,
-    float* __restrict__ signal, int count, int layer, int layers) {
-  STREAM_UNIT
-  float gates[4];
+  float* own = rows[b].state + (size_t)layer * HP + j;
+  state[0] = before[at];
 #pragma unroll
-  for (int gate = 0; gate < 4; gate++)
-    gates[gate] = product_sum(parts, count, batch, b, 4 * HP, gate * HP + j) + product_sum(recurrent, count, batch, b, 4 * HP, gate * HP + j);
-  float* cell = rows[b].state + (size_t)(layers + layer) * HP + j;
-  float c = *cell;
-  const float h = lstm(gates[0], gates[1], gates[2], gates[3], c);
-  *cell = j < H ? c : 0.0f;
-  signal[at] = rows[b].state[layer * HP + j] = padded(j, h);
+  for (int i = 1; i < STATES; i++) state[i] = own[(size_t)i * layers * HP];
+  cell_forward(sums, state);
+  signal[at] = own[0] = padded(j, state[0]);
+#pragma unroll
+  for (int i = 1; i < STATES; i++) own[(size_t)i * layers * HP] = j < H ? state[i] : 0.0f;
 }
 
 // The next frames, to the memory of the host. grid (ceil(N / 256), B), block 256

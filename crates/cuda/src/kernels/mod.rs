@@ -5,47 +5,41 @@ use eddy_inference::{
         Activation, Core, Description, FeatureScaling, Form, FrameOutput, MaterialInput, Pooling,
     },
     engine::Decoded,
+    ops::cell,
 };
 
 use crate::error::{CudaError, Result};
 
-/// All kernels, as one text.
-pub const SOURCE: &str = concat!(
+/// All kernels of the frame model, in parts.
+const SOURCE: &[&str] = &[
     include_str!("base.cu"),
     include_str!("common.cu"),
     include_str!("observed.cu"),
     include_str!("windows.cu"),
     include_str!("motion.cu"),
     include_str!("encoder.cu"),
-    include_str!("cell.cu"),
+    cell::DEVICE,
     include_str!("cells.cu"),
     include_str!("frame_loss.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
     include_str!("inference.cu"),
     include_str!("maximum.cu"),
-);
+];
 
-/// The kernels of the particle model, as one text.
-pub const PARTICLE_SOURCE: &str = concat!(
+/// The kernels of the particle model, in parts.
+pub(crate) const PARTICLE_SOURCE: &[&str] = &[
     include_str!("base.cu"),
     include_str!("common.cu"),
-    include_str!("cell.cu"),
+    cell::DEVICE,
     include_str!("particle_nodes.cu"),
     include_str!("particle_layers.cu"),
     include_str!("particle_rules.cu"),
     include_str!("particle_elastic.cu"),
-);
+];
 
-/// The kernels of the particle model and of its training, as one text.
-pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
-    include_str!("base.cu"),
-    include_str!("common.cu"),
-    include_str!("cell.cu"),
-    include_str!("particle_nodes.cu"),
-    include_str!("particle_layers.cu"),
-    include_str!("particle_rules.cu"),
-    include_str!("particle_elastic.cu"),
+/// What its training needs beside them.
+pub(crate) const PARTICLE_TRAINING_SOURCE: &[&str] = &[
     include_str!("observed.cu"),
     include_str!("batch_loss.cu"),
     include_str!("adam.cu"),
@@ -57,22 +51,20 @@ pub const PARTICLE_TRAINING_SOURCE: &str = concat!(
     include_str!("particle_training/layers.cu"),
     include_str!("particle_training/particles.cu"),
     include_str!("particle_training/gradients.cu"),
-);
-
-/// The kernels of the solver, as one text.
-pub const SOLVER_SOURCE: &str = concat!(include_str!("base.cu"), include_str!("solver.cu"));
+];
 
 /// A text of kernels and the constants it is compiled for.
 pub trait Program {
     /// The text.
-    fn source(&self) -> &'static str;
+    fn source(&self) -> String;
 
     /// Names and values for the compiler.
     fn definitions(&self) -> Vec<(&'static str, usize)>;
 
     /// The kernels in the text.
     fn kernels(&self) -> Vec<Kernel> {
-        let defined = |kernel: &Kernel| self.source().contains(&format!(" {}(", kernel.name()));
+        let source = self.source();
+        let defined = |kernel: &Kernel| source.contains(&format!(" {}(", kernel.name()));
         Kernel::ALL.iter().copied().filter(defined).collect()
     }
 }
@@ -117,22 +109,10 @@ kernels! {
     EncoderGradient = "encoder_gradient",
     /// Gradient of the encoder's input.
     EncoderPointsGradient = "encoder_points_gradient",
-    /// minGRU over frames.
-    MinGruForward = "mingru_forward",
+    /// A layer of the core over frames, or of a recurrent core over one.
+    CellsForward = "cells_forward",
     /// Its gradient.
-    MinGruBackward = "mingru_backward",
-    /// minLSTM over frames.
-    MinLstmForward = "minlstm_forward",
-    /// Its gradient.
-    MinLstmBackward = "minlstm_backward",
-    /// A frame of GRU.
-    GruForward = "gru_forward",
-    /// Its gradient.
-    GruBackward = "gru_backward",
-    /// A frame of LSTM.
-    LstmForward = "lstm_forward",
-    /// Its gradient.
-    LstmBackward = "lstm_backward",
+    CellsBackward = "cells_backward",
     /// The activation in place.
     ActivationForward = "activation_forward",
     /// Its gradient.
@@ -179,14 +159,8 @@ kernels! {
     ProductOfRows = "product_of_rows",
     /// A linear layer's outputs.
     LinearStreams = "linear_streams",
-    /// A frame of minGRU.
-    MinGruStreams = "mingru_streams",
-    /// A frame of minLSTM.
-    MinLstmStreams = "minlstm_streams",
-    /// A frame of GRU.
-    GruStreams = "gru_streams",
-    /// A frame of LSTM.
-    LstmStreams = "lstm_streams",
+    /// A frame of a layer of the core.
+    CellsStreams = "cells_streams",
     /// Predicted frames, to the memory of the host.
     PredictStreams = "predict_streams",
     /// Activations of the first Linear, for a pooling by the maximum.
@@ -327,6 +301,8 @@ pub struct Constants {
     pub encoder: usize,
     /// H.
     pub hidden: usize,
+    /// The core.
+    pub core: Core,
     /// Of the encoder, the MLP core and the mixer.
     pub activation: Activation,
     /// How the particles are pooled.
@@ -354,6 +330,7 @@ impl Constants {
             one_hot: description.frame.material == MaterialInput::OneHot,
             encoder: description.sizes.encoder,
             hidden: description.sizes.hidden,
+            core: description.core,
             activation: description.frame.activation,
             pooling: description.frame.pooling,
             output: description.frame.output,
@@ -409,14 +386,14 @@ impl Constants {
 }
 
 impl Program for Constants {
-    fn source(&self) -> &'static str {
-        SOURCE
+    fn source(&self) -> String {
+        SOURCE.concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
         let activation = Activation::ALL.iter().position(|&kind| kind == self.activation);
         let output = FrameOutput::ALL.iter().position(|&kind| kind == self.output);
-        vec![
+        let own = [
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
             ("N", self.particles),
@@ -434,7 +411,8 @@ impl Program for Constants {
             ("OUTPUT", output.unwrap_or_default()),
             ("LOG_FORM", usize::from(self.form == Form::Log)),
             ("NORMALIZED", usize::from(self.normalized)),
-        ]
+        ];
+        own.into_iter().chain(self.core.definitions()).collect()
     }
 }
 
@@ -454,14 +432,4 @@ pub(crate) fn motion(description: &Description) -> [[f32; AXES]; 6] {
     let Decoded { ballistic, mean, deviation, .. } = Decoded::new(description);
     let fall = ballistic.gravity.map(|gravity| gravity * ballistic.dt);
     [[ballistic.dt; AXES], fall, ballistic.lower, ballistic.upper, mean, deviation]
-}
-
-/// Gates that a layer of the core computes from its input, side by side in one matrix.
-pub(crate) fn gates(core: Core) -> usize {
-    match core {
-        Core::Mlp => 1,
-        Core::MinGru => 2,
-        Core::Gru | Core::MinLstm => 3,
-        Core::Lstm => 4,
-    }
 }

@@ -25,7 +25,7 @@ template <int UNITS> __device__ __forceinline__ void load_units(const float* fro
 }
 // sums[slot of gate][row][unit] += x w for ROWS rows of x, `step` apart, over `inner` numbers. The gate SPLIT goes to the slot
 // behind the last gate.
-template <int GATES, int SLOTS, int UNITS, int SPLIT>
+template <int COUNT, int SLOTS, int UNITS, int SPLIT>
 __device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], const float* x, int step, const float* __restrict__ w,
     int columns, int gate_columns, int inner) {
 #pragma unroll 2
@@ -36,8 +36,8 @@ __device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], 
 #pragma unroll
     for (int i = 0; i < 4; i++)
 #pragma unroll
-      for (int gate = 0; gate < GATES; gate++) {
-        const int slot = gate == SPLIT ? GATES : gate;
+      for (int gate = 0; gate < COUNT; gate++) {
+        const int slot = gate == SPLIT ? COUNT : gate;
         float weight[UNITS];
         load_units<UNITS>(w + (size_t)(k + i) * columns + gate * gate_columns, weight);
 #pragma unroll
@@ -345,34 +345,9 @@ extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stre
   }
 }
 
-#if CORE == 0
-#define GATES 1
-#elif CORE == 1
-#define GATES 2
-#elif CORE == 4
-#define GATES 4
-#else
-#define GATES 3
-#endif
-// GRU keeps the products of n with the state apart.
-#define GATE_SUMS (CORE == 3 ? 4 : GATES)
 #define UNITS (GATE_SUMS > 2 ? 2 : 4)
 #define CORE_COLUMNS (GATES * H4)
 #define CORE_MATRIX ((H4 + 1) * CORE_COLUMNS)
-// The new state of a unit from its sums, its last output and its cell; what the way back needs takes the place of the sums.
-__device__ __forceinline__ float unit_forward(float* sums, float last, float* cell) {
-#if CORE == 0
-  return activate(sums[0]);
-#elif CORE == 1
-  return mingru(sums[0], sums[1], last);
-#elif CORE == 2
-  return minlstm(sums[0], sums[1], sums[2], last);
-#elif CORE == 3
-  return gru(sums[0], sums[1], sums[2], sums[3], last);
-#else
-  return lstm(sums[0], sums[1], sums[2], sums[3], *cell);
-#endif
-}
 
 // Gather from the nodes, context, core, decoder, and the predicted motion. `w` has the matrices of context, core (input, then
 // recurrent), mixer and decoder one behind the other.
@@ -383,7 +358,7 @@ __device__ __forceinline__ float unit_forward(float* sums, float last, float* ce
 extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stream* __restrict__ streams, const float* __restrict__ w) {
   DYNAMIC_SHARED(float, shared);
   float *wide = shared, *narrow = wide + TILE * DECODE_WIDE, *states = narrow + TILE * DECODE_NARROW;
-  float (*weights)[6] = (float (*)[6])(states + (CORE ? TILE * DECODE_NARROW : 0));
+  float (*weights)[6] = (float (*)[6])(states + (REMEMBERS ? TILE * DECODE_NARROW : 0));
   u32 (*nodes)[3] = (u32 (*)[3])(weights + TILE);
   const Stream& s = streams[blockIdx.y];
   const u32 n = s.particles;
@@ -424,7 +399,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
     float *x = narrow, *y = wide;
     int x_stride = DECODE_NARROW, y_stride = DECODE_WIDE;
     for (int layer = 0; layer < LAYERS; layer++) {
-#if CORE != 0
+#if REMEMBERS
       float* remembered = s.hidden + (size_t)layer * n * H4;
       for (int i = threadIdx.x; i < TILE * (H4 / 4); i += THREADS) {
         const int row = i / (H4 / 4), k = i % (H4 / 4);
@@ -440,8 +415,8 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
         for (int gate = 0; gate < GATES; gate++)
 #pragma unroll
           for (int r = 0; r < ROWS; r++) load_units<UNITS>(matrix + H4 * CORE_COLUMNS + gate * H4 + unit, sums[gate][r]);
-        add_products<GATES, GATE_SUMS, UNITS, -1>(sums, x + row * x_stride, TILE / ROWS * x_stride, matrix + unit, CORE_COLUMNS, H4, H4);
-#if CORE >= 3
+        add_products<GATES, GATE_SUMS, UNITS, GATES>(sums, x + row * x_stride, TILE / ROWS * x_stride, matrix + unit, CORE_COLUMNS, H4, H4);
+#if RECURRENT
         const float* recurrent = matrix + CORE_MATRIX;
 #pragma unroll
         for (int gate = 0; gate < GATES; gate++) {
@@ -451,11 +426,11 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
           for (int r = 0; r < ROWS; r++)
 #pragma unroll
             for (int u = 0; u < UNITS; u++) {
-              if (CORE == 3 && gate == 2) sums[GATE_SUMS - 1][r][u] = bias[u];
+              if (gate == SPLIT_GATE) sums[GATE_SUMS - 1][r][u] = bias[u];
               else sums[gate][r][u] += bias[u];
             }
         }
-        add_products<GATES, GATE_SUMS, UNITS, CORE == 3 ? 2 : -1>(sums, states + row * DECODE_NARROW, TILE / ROWS * DECODE_NARROW,
+        add_products<GATES, GATE_SUMS, UNITS, SPLIT_GATE>(sums, states + row * DECODE_NARROW, TILE / ROWS * DECODE_NARROW,
             recurrent + unit, CORE_COLUMNS, H4, H4);
 #endif
 #pragma unroll
@@ -463,31 +438,32 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
           const int place = row + r * (TILE / ROWS);
 #pragma unroll
           for (int u = 0; u < UNITS; u++) {
-            float gates[GATE_SUMS], last = 0.0f, cell = 0.0f;
+            float gates[GATE_SUMS], state[STATES] = {};
 #pragma unroll
             for (int gate = 0; gate < GATE_SUMS; gate++) gates[gate] = sums[gate][r][u];
-#if CORE != 0
-            last = states[place * DECODE_NARROW + unit + u];
+#if REMEMBERS
+            state[0] = states[place * DECODE_NARROW + unit + u];
 #endif
-#if CORE == 4
-            float* own = s.hidden + ((size_t)(LAYERS + layer) * n + (place < count ? s.order[begin + place] : 0)) * H4 + unit + u;
-            if (place < count) cell = *own;
-#endif
-            y[place * y_stride + unit + u] = unit_forward(gates, last, &cell);
-#if CORE == 4
-            if (place < count) *own = cell;
-#endif
+            float* own = s.hidden + ((size_t)layer * n + (place < count ? s.order[begin + place] : 0)) * H4 + unit + u;
+#pragma unroll
+            for (int i = 1; i < STATES; i++)
+              if (place < count) state[i] = own[(size_t)i * LAYERS * n * H4];
+            cell_forward(gates, state);
+            y[place * y_stride + unit + u] = state[0];
+#pragma unroll
+            for (int i = 1; i < STATES; i++)
+              if (place < count) own[(size_t)i * LAYERS * n * H4] = state[i];
           }
         }
       }
       __syncthreads();
-#if CORE != 0
+#if REMEMBERS
       for (int i = threadIdx.x; i < count * (H4 / 4); i += THREADS) {
         const int row = i / (H4 / 4), k = i % (H4 / 4);
         ((float4*)remembered)[(size_t)s.order[begin + row] * (H4 / 4) + k] = *(const float4*)(y + row * y_stride + 4 * k);
       }
 #endif
-      matrix += (CORE >= 3 ? 2 : 1) * CORE_MATRIX;
+      matrix += (RECURRENT ? 2 : 1) * CORE_MATRIX;
       float* swap = x;
       x = y;
       y = swap;

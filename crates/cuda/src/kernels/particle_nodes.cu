@@ -7,7 +7,6 @@
 //   LEVELS     levels of the grid; MAX_LEVELS, MAX_LISTS: the most levels, and lists of features at nodes, of any grid
 //   ORIGIN     index of node 0 in the maps of level 0
 //   LAYERS     layers of the core
-//   CORE       0 MLP, 1 minGRU, 2 minLSTM, 3 GRU, 4 LSTM
 //   TILE       particles of a block
 //   NODES      nodes of a block
 #define ROUND4(n) (((n) + 3) / 4 * 4)

@@ -23,7 +23,7 @@ use eddy_inference::{
 
 use crate::{
     error::{CudaError, Result},
-    kernels::{AXES, MATERIALS, PARTICLE_SOURCE, Program, gates, round_up},
+    kernels::{AXES, MATERIALS, PARTICLE_SOURCE, Program, round_up},
 };
 
 /// Threads of a block that computes layers on nodes.
@@ -140,7 +140,7 @@ impl Constants {
     pub(super) fn decode_bytes(&self) -> usize {
         let hidden = self.hidden_columns();
         let wide = odd(self.context_rows().max(hidden));
-        let lists = if self.core == Core::Mlp { 1 } else { 2 };
+        let lists = 1 + usize::from(self.core.remembers());
         4 * self.tile * (wide + lists * odd(hidden) + 9)
     }
 
@@ -166,11 +166,7 @@ impl Constants {
 
     /// Whether the core remembers outputs, and how many lists of numbers per layer.
     pub(super) fn states(&self) -> usize {
-        match self.core {
-            Core::Mlp => 0,
-            Core::Lstm => 2 * self.layers,
-            Core::MinGru | Core::MinLstm | Core::Gru => self.layers,
-        }
+        if self.core.remembers() { self.core.states() * self.layers } else { 0 }
     }
 
     /// Levels of the grid.
@@ -185,20 +181,13 @@ impl Constants {
 }
 
 impl Program for Constants {
-    fn source(&self) -> &'static str {
-        PARTICLE_SOURCE
+    fn source(&self) -> String {
+        PARTICLE_SOURCE.concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
         let position = |found: Option<usize>| found.unwrap_or_default();
-        let core = match self.core {
-            Core::Mlp => 0,
-            Core::MinGru => 1,
-            Core::MinLstm => 2,
-            Core::Gru => 3,
-            Core::Lstm => 4,
-        };
-        vec![
+        let own = [
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
             ("F", self.features),
@@ -210,7 +199,6 @@ impl Program for Constants {
             ("ORIGIN", origin(self.levels())),
             ("H", self.hidden),
             ("LAYERS", self.layers),
-            ("CORE", core),
             (
                 "ACTIVATION",
                 position(Activation::ALL.iter().position(|&kind| kind == self.activation)),
@@ -219,7 +207,8 @@ impl Program for Constants {
             ("NORMALIZED", usize::from(self.normalized)),
             ("TILE", self.tile),
             ("NODES", self.nodes),
-        ]
+        ];
+        own.into_iter().chain(self.core.definitions()).collect()
     }
 }
 
@@ -345,32 +334,22 @@ impl Layout {
         let rows = four(hidden);
         for layer in 0..constants.layers {
             let core = constants.core;
-            let parts = layout::core_parts(core)
-                .iter()
-                .map(|&(part, gates)| (named(layout::core_names(core, layer, part)), gates));
-            match core {
-                Core::Gru | Core::Lstm => {
-                    for (tensors, gates) in parts {
-                        add(&mut all, tensors, rows, &plain, gates);
-                    }
-                }
-                Core::Mlp | Core::MinGru | Core::MinLstm => {
-                    // Gates with tensors of their own lie side by side.
-                    let joined = |pick: fn((&Weights, &Weights)) -> Weights| {
-                        let mut values = Vec::new();
-                        let mut shape = Vec::new();
-                        for (tensors, _) in parts.clone() {
-                            let own = pick(tensors);
-                            values.extend(own.values);
-                            shape = own.shape;
-                        }
-                        shape[0] *= gates(core);
-                        Weights { shape, values }
-                    };
-                    let weight = joined(|(weight, _)| weight.clone());
-                    let bias = joined(|(_, bias)| bias.clone());
-                    add(&mut all, (&weight, &bias), rows, &plain, gates(core));
-                }
+            let tensors = |part: &str| named(core.tensors(layer, part));
+            // Gates with tensors of their own lie side by side.
+            let joined = |pick: fn((&Weights, &Weights)) -> Weights| {
+                let mut parts = core.input_parts().iter().map(|(part, _)| pick(tensors(part)));
+                let first = parts.next().expect("a core reads its input");
+                parts.fold(first, |mut all, part| {
+                    all.shape[0] += part.shape[0];
+                    all.values.extend(part.values);
+                    all
+                })
+            };
+            let weight = joined(|(weight, _)| weight.clone());
+            let bias = joined(|(_, bias)| bias.clone());
+            add(&mut all, (&weight, &bias), rows, &plain, core.gates());
+            if let Some(part) = core.recurrent_part() {
+                add(&mut all, tensors(part), rows, &plain, core.gates());
             }
         }
         add(&mut all, named(layout::names("mixer")), rows, &plain, 1);

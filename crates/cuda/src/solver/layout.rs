@@ -5,7 +5,7 @@
 use eddy_frames::Material;
 use eddy_mpm::{Attractor, CONSTANTS, GridShape, Interval, Law, Solver, SolverSettings, Step};
 
-use crate::kernels::{Program, SOLVER_SOURCE};
+use crate::kernels::Program;
 
 /// Cells of a tile on each axis, `TILE` of the kernels.
 pub(super) const TILE: usize = 8;
@@ -20,8 +20,8 @@ pub(super) const NUMBERS: usize = 14;
 pub struct Constants;
 
 impl Program for Constants {
-    fn source(&self) -> &'static str {
-        SOLVER_SOURCE
+    fn source(&self) -> String {
+        [include_str!("../kernels/base.cu"), include_str!("../kernels/solver.cu")].concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {

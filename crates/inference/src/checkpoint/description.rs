@@ -5,9 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, Rules, VALID_KNOTS,
+    CheckpointError, Core, Form, Rules, VALID_KNOTS,
     fingerprints::Fingerprints,
-    network::{Architecture, Core, Form, FrameOptions, GridOptions, Sizes, WeightFormat},
+    network::{Architecture, FrameOptions, GridOptions, Sizes, WeightFormat},
     rules, valid_knots,
 };
 use eddy_frames::{Domain, Material};

@@ -33,7 +33,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{
-    Architecture, CheckpointError, Core, Description, MaterialInput, Pooling, Weights,
+    Architecture, CheckpointError, Description, MaterialInput, Pooling, Weights,
     grid::{GridLayer, grid_layers},
 };
 use eddy_frames::Material;
@@ -68,25 +68,6 @@ pub struct LinearLayer {
     pub output: usize,
     /// Number of outputs that share an element of the bias.
     pub sharing: usize,
-}
-
-/// The linear parts of a layer of the core, and the number of gates of each.
-pub fn core_parts(core: Core) -> &'static [(&'static str, usize)] {
-    match core {
-        Core::Mlp => &[("linear", 1)],
-        Core::Lstm => &[("ih", 4), ("hh", 4)],
-        Core::Gru => &[("ih", 3), ("hh", 3)],
-        Core::MinLstm => &[("forget_gate", 1), ("input_gate", 1), ("candidate", 1)],
-        Core::MinGru => &[("gate", 1), ("candidate", 1)],
-    }
-}
-
-/// Names of weight and bias of a part of a core layer.
-pub fn core_names(core: Core, layer: usize, part: &str) -> [String; 2] {
-    ["weight", "bias"].map(|tensor| match core {
-        Core::Lstm | Core::Gru => format!("core.{tensor}_{part}_l{layer}"),
-        Core::Mlp | Core::MinLstm | Core::MinGru => format!("core.{layer}.{part}.{tensor}"),
-    })
 }
 
 /// Names of weight and bias of a layer outside the core.
@@ -134,9 +115,12 @@ pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
         layers.push(linear(names("context"), features + encoded, hidden));
     }
     for layer in 0..sizes.layers {
-        for &(part, gates) in core_parts(*core) {
-            let input = if layer == 0 && part != "hh" { pooled } else { hidden };
-            layers.push(linear(core_names(*core, layer, part), input, gates * hidden));
+        let input = if layer == 0 { pooled } else { hidden };
+        for &(part, gates) in core.input_parts() {
+            layers.push(linear(core.tensors(layer, part), input, gates * hidden));
+        }
+        if let Some(part) = core.recurrent_part() {
+            layers.push(linear(core.tensors(layer, part), hidden, core.gates() * hidden));
         }
     }
     layers.push(linear(names("mixer"), hidden, hidden));

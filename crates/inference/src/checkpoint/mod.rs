@@ -37,10 +37,12 @@ pub use knots::{
 };
 pub use layout::tensor_shapes;
 pub use network::{
-    Activation, Architecture, Core, FeatureScaling, Form, FrameOptions, FrameOutput, GridOptions,
+    Activation, Architecture, FeatureScaling, FrameOptions, FrameOutput, GridOptions,
     MaterialInput, Pooling, Sizes, WeightFormat,
 };
 pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
+
+pub use crate::ops::cell::{Core, Form};
 
 use std::{collections::BTreeMap, path::Path};
 

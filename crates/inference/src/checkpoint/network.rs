@@ -29,54 +29,6 @@ impl Architecture {
     }
 }
 
-/// The recurrent core of a network.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-pub enum Core {
-    /// No recurrence: a linear layer and an activation, the paper's baseline.
-    Mlp,
-    /// Long short-term memory (Hochreiter and Schmidhuber 1997), as in PyTorch.
-    Lstm,
-    /// Gated recurrent unit (Cho et al. 2014), as in PyTorch.
-    Gru,
-    /// Forget gate, input gate, candidate (Feng et al. 2024, section 3.2).
-    #[cfg_attr(feature = "clap", value(name = "minlstm"))]
-    MinLstm,
-    /// One gate, one candidate (Feng et al. 2024, section 3.1).
-    #[default]
-    #[cfg_attr(feature = "clap", value(name = "mingru"))]
-    MinGru,
-}
-
-impl Core {
-    /// All cores, in the paper's order.
-    pub const ALL: [Self; 5] = [Self::Mlp, Self::Lstm, Self::Gru, Self::MinLstm, Self::MinGru];
-
-    /// Its name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mlp => "mlp",
-            Self::Lstm => "lstm",
-            Self::Gru => "gru",
-            Self::MinLstm => "minlstm",
-            Self::MinGru => "mingru",
-        }
-    }
-}
-
-/// The form of the minimal recurrences; other cores have only the plain form.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Form {
-    /// Candidates enter the state unchanged (the paper's Fig. 6).
-    #[default]
-    Plain,
-    /// Candidates pass through g(x) = x + 1/2 for x >= 0 and sigmoid(x) below, which is positive, so that the recurrence can be
-    /// computed in logarithms (Feng et al. 2024, appendix B). This is a different model.
-    Log,
-}
-
 /// Number type of a checkpoint's weights. Networks compute in f32 with either.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

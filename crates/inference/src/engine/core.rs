@@ -1,7 +1,6 @@
 //! The layers of the core, one panel of units for a few rows at a time.
 //!
-//! The equations are those of `mlp.rs`, `lstm.rs`, `gru.rs`, `minlstm.rs` and `mingru.rs` in `eddy-learning`'s `model`. All
-//! gates of a unit are computed at once, and the unit's new state from them, so that no gate is ever stored.
+//! All gates of a unit are computed at once, and the unit's new state from them, so that no gate is ever stored.
 
 use std::collections::BTreeMap;
 
@@ -9,21 +8,16 @@ use pulp::Simd;
 
 use super::linear::{Linear, add_products, load};
 use crate::{
-    checkpoint::{Activation, Core, Description, Form, Weights, layout},
-    kernels::{
-        gru, lstm,
-        math::{elu, relu, sigmoid, tanh},
-        minimal::Minimal,
-    },
+    checkpoint::{Description, Weights},
+    ops::cell::{AnyCell, Cell, MAX_SUMS},
+    with_cell,
 };
 
 /// One layer of the core.
 #[derive(Debug)]
 pub(super) struct CoreLayer {
-    core: Core,
-    /// The variant of the minimal recurrences.
-    pub(super) minimal: Minimal,
-    activation: Activation,
+    cell: AnyCell,
+    has_cell: bool,
     /// Products with the layer's input, gate by gate.
     input: Vec<Linear>,
     /// LSTM and GRU: products with the layer's last output, gate by gate.
@@ -46,19 +40,19 @@ impl CoreLayer {
         layer: usize,
     ) -> Self {
         let core = description.core;
-        let (mut input, mut hidden) = (Vec::new(), Vec::new());
-        for &(part, gates) in layout::core_parts(core) {
-            let [weight, bias] = layout::core_names(core, layer, part).map(|name| &tensors[&name]);
-            let packed = (0..gates).map(|gate| Linear::pack(lanes, weight, bias, gate, gates));
-            if part == "hh" { hidden.extend(packed) } else { input.extend(packed) }
-        }
-        let Description { form, normalize_gates, frame, .. } = description;
+        let pack = |part: &str, gates| {
+            let [weight, bias] = core.tensors(layer, part).map(|name| &tensors[&name]);
+            (0..gates).map(move |gate| Linear::pack(lanes, weight, bias, gate, gates))
+        };
         Self {
-            core,
-            minimal: Minimal { log: *form == Form::Log, normalize: *normalize_gates },
-            activation: frame.activation,
-            input,
-            hidden,
+            cell: AnyCell::new(description),
+            has_cell: core.states() == 2,
+            input: core.input_parts().iter().flat_map(|&(part, gates)| pack(part, gates)).collect(),
+            hidden: core
+                .recurrent_part()
+                .into_iter()
+                .flat_map(|part| pack(part, core.gates()))
+                .collect(),
         }
     }
 
@@ -81,7 +75,7 @@ impl CoreLayer {
 
     /// Whether its state includes a cell.
     pub(super) fn has_cell(&self) -> bool {
-        self.core == Core::Lstm
+        self.has_cell
     }
 
     /// Sums per unit that are accumulated at once.
@@ -105,59 +99,66 @@ impl CoreLayer {
         hidden: [&[f32]; R],
         cells: [&[f32]; R],
     ) -> UnitState<S, R> {
+        with_cell!(self.cell, |cell, GATES| {
+            self.step_cell::<S, _, GATES, R, K>(simd, cell, panel, inputs, hidden, cells)
+        })
+    }
+
+    /// As [`CoreLayer::step`], with the layer's cell and number of gates.
+    #[inline(always)]
+    fn step_cell<S: Simd, C: Cell, const G: usize, const R: usize, const K: usize>(
+        &self,
+        simd: S,
+        cell: C,
+        panel: usize,
+        inputs: [&[f32]; R],
+        hidden: [&[f32]; R],
+        cells: [&[f32]; R],
+    ) -> UnitState<S, R> {
+        let core = C::CORE;
+        let zeros = [simd.splat_f32s(0.0); R];
+        let mut sums = self.gates::<S, G, R, K>(simd, panel, inputs);
+        // The part of a gate that depends on the last output, if it is a sum of its own.
+        let mut split = zeros;
+        if core.recurrent_part().is_some() {
+            let biases = self.biases::<S, G, R>(simd, panel);
+            for (gate, bias) in biases.into_iter().enumerate() {
+                if core.split_gate() == Some(gate) {
+                    split = std::mem::replace(&mut sums[gate], bias);
+                } else {
+                    for r in 0..R {
+                        sums[gate][r] = simd.add_f32s(sums[gate][r], bias[r]);
+                    }
+                }
+            }
+            sums = add_products::<S, G, R, K>(simd, self.recurrent(panel), hidden, sums);
+            if let Some(gate) = core.split_gate() {
+                std::mem::swap(&mut sums[gate], &mut split);
+            }
+        }
         // Rows may be padded to whole panels.
         let padded = self.padded_units(panel);
         let units = padded.start..padded.end.min(hidden[0].len());
-        let mut next = UnitState { hidden: [simd.splat_f32s(0.0); R], cell: None };
-        match self.core {
-            Core::Mlp => {
-                let [sums] = self.gates::<S, 1, R, K>(simd, panel, inputs);
-                for (output, sum) in next.hidden.iter_mut().zip(sums) {
-                    *output = activate(simd, self.activation, sum);
-                }
+        let mut next = UnitState { hidden: zeros, cell: (core.states() == 2).then_some(zeros) };
+        for r in 0..R {
+            let mut own = [zeros[0]; MAX_SUMS];
+            for gate in 0..G {
+                own[gate] = sums[gate][r];
             }
-            Core::MinGru => {
-                let [gate, candidate] = self.gates::<S, 2, R, K>(simd, panel, inputs);
-                for r in 0..R {
-                    let last = load(simd, &hidden[r][units.clone()]);
-                    next.hidden[r] = self.minimal.next(simd, [gate[r], candidate[r]], last);
-                }
+            if core.split_gate().is_some() {
+                own[G] = split[r];
             }
-            Core::MinLstm => {
-                let [forget, input, candidate] = self.gates::<S, 3, R, K>(simd, panel, inputs);
-                for r in 0..R {
-                    let last = load(simd, &hidden[r][units.clone()]);
-                    let sums = [forget[r], input[r], candidate[r]];
-                    next.hidden[r] = self.minimal.next(simd, sums, last);
-                }
+            let mut state = [zeros[0]; 2];
+            if core.remembers() {
+                state[0] = load(simd, &hidden[r][units.clone()]);
             }
-            Core::Gru => {
-                let mut sums = self.gates::<S, 3, R, K>(simd, panel, inputs);
-                let mut biases = self.biases::<S, 3, R>(simd, panel);
-                // The products for n are kept apart: the reset gate scales those of the state only.
-                std::mem::swap(&mut sums[2], &mut biases[2]);
-                let input = biases[2];
-                add_biases(simd, &mut sums[..2], &biases[..2]);
-                let [reset, update, recurrent] =
-                    add_products::<S, 3, R, K>(simd, self.recurrent(panel), hidden, sums);
-                for r in 0..R {
-                    let sums = [reset[r], update[r], input[r], recurrent[r]];
-                    let last = load(simd, &hidden[r][units.clone()]);
-                    next.hidden[r] = gru::cell(simd, sums, last)[3];
-                }
+            if next.cell.is_some() {
+                state[1] = load(simd, &cells[r][units.clone()]);
             }
-            Core::Lstm => {
-                let mut sums = self.gates::<S, 4, R, K>(simd, panel, inputs);
-                add_biases(simd, &mut sums, &self.biases::<S, 4, R>(simd, panel));
-                let [input, forget, candidate, output] =
-                    add_products::<S, 4, R, K>(simd, self.recurrent(panel), hidden, sums);
-                let mut cell = [simd.splat_f32s(0.0); R];
-                for r in 0..R {
-                    let sums = [input[r], forget[r], candidate[r], output[r]];
-                    let last = load(simd, &cells[r][units.clone()]);
-                    [.., next.hidden[r], cell[r]] = lstm::cell(simd, sums, last);
-                }
-                next.cell = Some(cell);
+            cell.next(simd, &mut own, &mut state);
+            next.hidden[r] = state[0];
+            if let Some(cell) = &mut next.cell {
+                cell[r] = state[1];
             }
         }
         next
@@ -202,29 +203,5 @@ impl CoreLayer {
             *weights = linear.panel(panel);
         }
         panels
-    }
-}
-
-#[inline(always)]
-fn add_biases<S: Simd, const R: usize>(
-    simd: S,
-    sums: &mut [[S::f32s; R]],
-    biases: &[[S::f32s; R]],
-) {
-    for (sums, biases) in sums.iter_mut().zip(biases) {
-        for r in 0..R {
-            sums[r] = simd.add_f32s(sums[r], biases[r]);
-        }
-    }
-}
-
-/// Applies an activation function elementwise.
-#[inline(always)]
-pub(super) fn activate<S: Simd>(simd: S, kind: Activation, x: S::f32s) -> S::f32s {
-    match kind {
-        Activation::Sigmoid => sigmoid(simd, x),
-        Activation::Tanh => tanh(simd, x),
-        Activation::Relu => relu(simd, x),
-        Activation::Elu => elu(simd, x),
     }
 }

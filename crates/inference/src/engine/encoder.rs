@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 
 use pulp::Simd;
 
-use super::{
-    core::activate,
-    linear::{Aligned, Linear, add_products, outputs},
-};
-use crate::checkpoint::{
-    Activation, Description, FeatureScaling, MaterialInput, Normalization, Weights, layout,
+use super::linear::{Aligned, Linear, add_products, outputs};
+use crate::{
+    checkpoint::{
+        Activation, Description, FeatureScaling, MaterialInput, Normalization, Weights, layout,
+    },
+    kernels::activation::Activate,
 };
 use eddy_frames::{Material, Particles};
 
@@ -229,7 +229,7 @@ impl<'a, S: Simd> Panel<'a, S> {
         for (weight, number) in self.weights.iter().zip(state) {
             sum = simd.mul_add_e_f32s(*weight, simd.splat_f32s(*number), sum);
         }
-        activate(simd, self.activation, sum)
+        self.activation.value(simd, sum)
     }
 }
 

@@ -9,7 +9,7 @@ use std::{collections::BTreeMap, ops::Range};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    core::{CoreLayer, activate},
+    core::CoreLayer,
     decoded::Decoded,
     encoder::{BLOCK, Encoder},
     hidden_state::FrameMemory,
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     checkpoint::{Activation, Description, Pooling, Weights},
-    kernels::vectors::Lanes,
+    kernels::{activation::Activate, vectors::Lanes},
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -285,7 +285,7 @@ impl StepContext<'_> {
         let [[mut sum]] =
             add_products::<S, 1, 1, PARTIAL_SUMS>(simd, [linear.panel(panel)], [row], biases);
         if let Some(activation) = activation {
-            sum = activate(simd, activation, sum);
+            sum = activation.value(simd, sum);
         }
         simd.partial_store_f32s(units, sum);
     }

@@ -8,6 +8,7 @@ use super::{
     math::{elu, exp, relu, sigmoid, tanh},
     vectors::zip,
 };
+use crate::checkpoint::Activation;
 
 /// An elementwise activation function y = f(x).
 pub trait Activate: Copy + Send + Sync {
@@ -74,6 +75,27 @@ impl Activate for Elu {
         let one = simd.splat_f32s(1.0);
         let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
         simd.select_f32s(positive, one, simd.add_f32s(y, one))
+    }
+}
+
+impl Activate for Activation {
+    #[inline(always)]
+    fn value<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s {
+        match self {
+            Self::Sigmoid => Sigmoid.value(simd, x),
+            Self::Tanh => Tanh.value(simd, x),
+            Self::Relu => Relu.value(simd, x),
+            Self::Elu => Elu.value(simd, x),
+        }
+    }
+    #[inline(always)]
+    fn slope<S: Simd>(self, simd: S, x: S::f32s, y: S::f32s) -> S::f32s {
+        match self {
+            Self::Sigmoid => Sigmoid.slope(simd, x, y),
+            Self::Tanh => Tanh.slope(simd, x, y),
+            Self::Relu => Relu.slope(simd, x, y),
+            Self::Elu => Elu.slope(simd, x, y),
+        }
     }
 }
 

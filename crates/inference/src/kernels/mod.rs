@@ -13,28 +13,24 @@
 //! 4. [`linear`]: a linear layer. [`matrix`] has products of large matrices, [`narrow`] products with matrices of few
 //!    columns.
 //! 5. [`encoder`]: a linear layer and an activation on particles, and the mean over them.
-//! 6. [`minimal`]: minGRU and minLSTM over all frames, from the outputs of their linear layers.
-//! 7. [`gru`], [`lstm`]: frame by frame, with [`packed`] recurrent weights.
+//! 6. [`packed`]: recurrent weights, for products frame by frame.
 //!
 //! The sparse grid, the rest shape and elasticity, for both:
 //!
-//! 8. [`nodes`]: the nodes that particles touch, at two to four cell widths.
-//! 9. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
-//! 10. [`gathered`]: convolutions on nodes.
-//! 11. [`rest_shape`]: strain and bend of jelly and rope.
-//! 12. [`lattice`]: jelly as an elastic continuum.
-//! 13. [`spacing`]: the distance between neighbouring particles.
+//! 7. [`nodes`]: the nodes that particles touch, at two to four cell widths.
+//! 8. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
+//! 9. [`gathered`]: convolutions on nodes.
+//! 10. [`rest_shape`]: strain and bend of jelly and rope.
+//! 11. [`lattice`]: jelly as an elastic continuum.
+//! 12. [`spacing`]: the distance between neighbouring particles.
 
 pub mod activation;
 pub mod encoder;
 pub mod gathered;
-pub mod gru;
 pub mod lattice;
 pub mod linear;
-pub mod lstm;
 pub mod math;
 pub mod matrix;
-pub mod minimal;
 pub mod narrow;
 pub mod nodes;
 pub mod packed;

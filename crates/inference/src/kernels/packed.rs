@@ -97,16 +97,16 @@ impl<'a> Recurrent<'a> {
 }
 
 /// Whether a state, and so its product with the weights, is zero.
-pub(super) fn is_zero(hidden: &[f32]) -> bool {
-    hidden.iter().all(|&h| h == 0.0)
+pub(crate) fn is_zero(state: &[f32]) -> bool {
+    state.iter().all(|&number| number == 0.0)
 }
 
 /// The gradients by the recurrent weights, `[H, G]`, and their bias, `[G]`, from those by the products, `[T, R, G]`. The outputs
-/// of all frames are in rows of `states`, `stride` numbers apart; `hidden`, `[R, H]`, is the output before the first frame.
-pub(super) fn recurrent_gradients(
+/// of all frames are in rows of `states`, `stride` numbers apart, those before the first frame, R rows, in such of `initial`.
+pub(crate) fn recurrent_gradients(
     states: &[f32],
+    initial: &[f32],
     stride: usize,
-    hidden: &[f32],
     by_products: &[f32],
     [rows, width, gates]: [usize; 3],
 ) -> [Vec<f32>; 2] {
@@ -114,8 +114,8 @@ pub(super) fn recurrent_gradients(
     let later = rest.len() / gates;
     let before = Matrix::with_stride(states, later, width, stride).transposed();
     let mut weight = product(before, Matrix::new(rest, later, gates));
-    if !is_zero(hidden) {
-        let before = Matrix::new(hidden, rows, width).transposed();
+    if !is_zero(initial) {
+        let before = Matrix::with_stride(initial, rows, width, stride).transposed();
         multiply(before, Matrix::new(first, rows, gates), &mut weight, Accumulate::Add);
     }
     let mut bias = vec![0.0; gates];

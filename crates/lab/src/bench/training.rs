@@ -148,13 +148,8 @@ pub fn paper_steps(whole: &[usize], frames: &[usize]) -> Vec<Step> {
 
 /// Multiply-adds of a core's matrix products per layer and frame, in units of H^2.
 pub fn products(core: Core) -> f64 {
-    match core {
-        Core::Mlp => 1.0,
-        Core::MinGru => 2.0,
-        Core::MinLstm => 3.0,
-        Core::Gru => 6.0,
-        Core::Lstm => 8.0,
-    }
+    let read = if core.recurrent_part().is_some() { 2 } else { 1 };
+    (read * core.gates()) as f64
 }
 
 #[cfg(test)]

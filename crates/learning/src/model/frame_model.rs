@@ -20,12 +20,12 @@ use burn::tensor::{Device, Tensor};
 
 use super::{
     ballistic::BallisticTensors,
+    core::activate,
     dropout::Dropout,
     features::Scaling,
     fused, fused_layers,
     layers::Layers,
     linear::Linear,
-    mlp::activate,
     state::{ParticleState, RecurrentState, StaticInputs, TrajectoryBatch},
 };
 use eddy_inference::{

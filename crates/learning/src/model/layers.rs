@@ -46,7 +46,7 @@ impl Layers {
             core: (0..description.sizes.layers)
                 .map(|layer| {
                     RecurrentLayer::new(description, |part| {
-                        linear(layout::core_names(description.core, layer, part))
+                        linear(description.core.tensors(layer, part))
                     })
                 })
                 .collect(),

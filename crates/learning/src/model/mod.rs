@@ -10,8 +10,8 @@
 //! 5. `grid_context`: the sparse grid of a batch. `sparse`: its layers in tensor operations.
 //! 6. `fused_layers`: the layers as fused operations.
 //! 7. `linear`: linear layers. `strain`: the strain of solids.
-//! 8. `scan`: linear recurrences over all frames at once (training) or one at a time (streaming).
-//! 9. `mlp`, `gru`, `lstm`, `mingru`, `minlstm`: the layers of the core; `core`: any of them.
+//! 8. `scan`: linear recurrences over all frames at once.
+//! 9. `core`: the layers of the core.
 //! 10. `grid`: the layers on the grid. `layers`: all layers of a network.
 //! 11. `frame_model`: the paper's network (Table 1), one hidden state per frame. `particle_model`: one hidden state per
 //!     particle, a residual on the ballistic step.
@@ -32,13 +32,8 @@ pub(crate) mod fused;
 pub(crate) mod fused_layers;
 pub(crate) mod grid;
 pub(crate) mod grid_context;
-pub(crate) mod gru;
 pub(crate) mod layers;
 pub(crate) mod linear;
-pub(crate) mod lstm;
-pub(crate) mod mingru;
-pub(crate) mod minlstm;
-pub(crate) mod mlp;
 pub(crate) mod network;
 pub(crate) mod particle_model;
 pub(crate) mod scan;

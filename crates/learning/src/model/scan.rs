@@ -1,16 +1,11 @@
-//! The linear recurrence h_t = a_t h_{t-1} + b_t, over all frames at once or one frame at a time.
+//! The linear recurrence h_t = a_t h_{t-1} + b_t over all frames at once.
 //!
 //! minGRU and minLSTM are linear in the state, with coefficients 0 <= a_t <= 1 that do not depend on it. Pairs (a, b)
 //! therefore compose associatively: (a2, b2) after (a1, b1) is (a2 a1, a2 b1 + b2). [`scan`] composes them by recursive
 //! doubling, in ceil(log2 T) rounds of operations over whole tensors (Hillis and Steele 1986); no product can overflow.
-//! [`step`] is the recurrence for one frame; a property test compares the two.
+//! A property test compares it with the recurrence frame by frame.
 
-use burn::tensor::{
-    Tensor,
-    activation::{relu, sigmoid},
-};
-
-use eddy_inference::checkpoint::Form;
+use burn::tensor::Tensor;
 
 /// All h_t, `[T, R, H]`, from the coefficients `a` and `b`, `[T, R, H]` each, and the state before the first frame, `[R, H]`
 /// (zero if none).
@@ -41,32 +36,21 @@ pub(crate) fn scan(a: Tensor<3>, b: Tensor<3>, carried: Option<Tensor<2>>) -> Te
     b // [T, R, H]
 }
 
-/// The next state, `[R, H]`, from the previous state (zero if none).
-pub(crate) fn step(a: Tensor<2>, b: Tensor<2>, carried: Option<Tensor<2>>) -> Tensor<2> {
-    match carried {
-        None => b,
-        Some(state) => a * state + b,
-    }
-}
-
-/// The candidate as it enters the state: c, or in the log form g(c) = c + 1/2 for c >= 0 and sigmoid(c) below. The recurrence
-/// is computed directly in that form too: with 0 <= a <= 1 it cannot overflow, and a zero state needs no logarithm.
-pub(crate) fn candidate<const D: usize>(form: Form, candidate: Tensor<D>) -> Tensor<D> {
-    match form {
-        Form::Plain => candidate,
-        // sigmoid(min(c, 0)) is 1/2 for c >= 0.
-        Form::Log => relu(candidate.clone()) + sigmoid(candidate.clamp_max(0.0)),
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use burn::tensor::{Device, TensorData};
+    use burn::tensor::{
+        Device, TensorData,
+        activation::{relu, sigmoid},
+    };
     use proptest::prelude::*;
 
     use super::*;
-    use crate::model::{fused_layers, state::at};
-    use eddy_inference::kernels::minimal::Minimal;
+    use crate::model::{
+        core::candidate,
+        fused_layers,
+        state::{LayerState, at},
+    };
+    use eddy_inference::ops::cell::{AnyCell, Form, MinGru};
 
     const ROWS: usize = 3;
     const HIDDEN: usize = 2;
@@ -95,8 +79,12 @@ mod tests {
         let mut state = carried;
         let states = (0..gate.dims()[0]).map(|t| {
             let update = sigmoid(at(&gate, t));
-            let entering = update.clone() * candidate(form, at(&c, t));
-            let next = step(1.0 - update, entering, state.take());
+            let c = candidate(form, c.clone().slice([t..t + 1, 0..ROWS, 0..HIDDEN]));
+            let entering = update.clone() * at(&c, 0);
+            let next = match state.take() {
+                None => entering,
+                Some(state) => (1.0 - update) * state + entering,
+            };
             state = Some(next.clone());
             next
         });
@@ -105,9 +93,8 @@ mod tests {
 
     /// The kernel.
     fn fused(form: Form, gate: Tensor<3>, c: Tensor<3>, carried: Option<Tensor<2>>) -> Tensor<3> {
-        let carried = carried.unwrap_or_else(|| Tensor::zeros([ROWS, HIDDEN], &gate.device()));
-        let kind = Minimal { log: form == Form::Log, normalize: false };
-        fused_layers::mingru(kind, gate, c, carried)
+        let carried = carried.map(|hidden| LayerState { hidden, cell: None });
+        fused_layers::cells(AnyCell::MinGru(MinGru { form }), vec![gate, c], None, carried).0
     }
 
     /// The log form by cumulative sums of logarithms (Heinsen 2023), as in the reference implementation of Feng et al., with the

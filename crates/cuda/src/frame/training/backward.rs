@@ -1,14 +1,12 @@
 //! The gradients of frames, last frames first.
 
-use eddy_inference::checkpoint::Core;
-
 use crate::{
     device::{Address, Queue, Shape},
     error::Result,
     kernels::Kernel,
 };
 
-use super::{BODY, Training, forward::Decoded, maximum::Maximum};
+use super::{BODY, LayerMemory, Training, forward::Decoded, maximum::Maximum};
 
 impl Training {
     /// The gradients of frames `first..first + frames`, and with the first ones the weights' and their change.
@@ -141,90 +139,32 @@ impl Training {
     /// Where the outputs of a layer of the core start.
     pub(super) fn outputs(&self, number: usize) -> Address {
         let layer = &self.layers[number];
-        match (&layer.dropped, self.core) {
-            (Some(dropped), _) => dropped.address(),
-            (None, Core::Mlp) => layer.sums.address(),
-            (None, _) => self.at(&layer.states, 1, self.constants.hidden_columns()),
+        match &layer.dropped {
+            Some(dropped) => dropped.address(),
+            None => self.at(&layer.states, 1, self.constants.hidden_columns()),
         }
     }
 
-    #[expect(clippy::too_many_lines, reason = "one launch after another, by kind of core")]
+    /// The gradients of a layer of the core.
     pub(super) fn core_backward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
         let (batch, rows, wide) =
             (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());
         let (layer, (matrix, recurrent)) = (&self.layers[number], &self.layout.core[number]);
         let gates = matrix.columns;
         let gradient = self.at(&layer.gradient, first, wide);
-        let (sums, states) =
-            (self.at(&layer.sums, first, gates), self.at(&layer.states, first, wide));
         if layer.dropped.is_some() {
             self.dropout(number, gradient, gradient, first, frames, 0.0)?;
         }
-        let carried = layer.carried.address();
-        // The MLP's outputs are where other cores have their sums, its gradients by the sums where others have those
-        // by the outputs.
-        let (slopes, all_slopes) = match self.core {
-            Core::Mlp => (gradient, layer.gradient.address()),
-            _ => (sums, layer.sums.address()),
-        };
-        match (self.core, recurrent) {
-            (Core::Mlp, _) => {
-                self.launch(
-                    Kernel::ActivationBackward,
-                    self.units(frames),
-                    &[gradient.into(), sums.into()],
-                )?;
-            }
-            (Core::MinGru | Core::MinLstm, _) | (_, None) => {
-                let kernel = if self.core == Core::MinGru {
-                    Kernel::MinGruBackward
-                } else {
-                    Kernel::MinLstmBackward
-                };
-                self.launch(
-                    kernel,
-                    self.units(1),
-                    &[sums.into(), states.into(), gradient.into(), carried.into(), frames.into()],
-                )?;
-            }
-            (core, Some(recurrent)) => {
+        match (recurrent, &layer.recurrent) {
+            (Some(recurrent), Some(products)) => {
                 for t in (first..first + frames).rev() {
-                    let (sums, gradient) =
-                        (self.at(&layer.sums, t, gates), self.at(&layer.gradient, t, wide));
-                    if let (Core::Lstm, Some(cells), Some(carried_cell)) =
-                        (core, &layer.cells, &layer.carried_cell)
-                    {
-                        let cells = self.at(cells, t, wide);
-                        self.launch(
-                            Kernel::LstmBackward,
-                            self.units(1),
-                            &[
-                                sums.into(),
-                                cells.into(),
-                                gradient.into(),
-                                carried.into(),
-                                carried_cell.address().into(),
-                            ],
-                        )?;
-                        self.backward_product(recurrent, sums, carried, batch, false)?;
-                    } else if let Some(from_state) = &layer.recurrent {
-                        let (from_state, states) =
-                            (self.at(from_state, t, gates), self.at(&layer.states, t, wide));
-                        self.launch(
-                            Kernel::GruBackward,
-                            self.units(1),
-                            &[
-                                sums.into(),
-                                from_state.into(),
-                                states.into(),
-                                gradient.into(),
-                                carried.into(),
-                            ],
-                        )?;
-                        self.backward_product(recurrent, from_state, carried, batch, true)?;
-                    }
+                    self.cells_backward(layer, gates, t, 1)?;
+                    let products = self.at(products, t, gates);
+                    let carried = layer.carried.address();
+                    self.backward_product(recurrent, products, carried, batch, true)?;
                 }
             }
+            _ => self.cells_backward(layer, gates, first, frames)?,
         }
         let (last, all) = (first == 0, self.frames() * batch);
         let (input, d_input) = match number {
@@ -234,15 +174,39 @@ impl Training {
                 (self.outputs(number - 1), self.at(gradient, first, wide))
             }
         };
-        self.learn(last, matrix, input, all_slopes, all)?;
+        let slopes = self.at(&layer.sums, first, gates);
+        self.learn(last, matrix, input, layer.sums.address(), all)?;
         self.backward_product(matrix, slopes, d_input, rows, false)?;
         self.change(last, matrix)?;
-        if let Some(recurrent) = recurrent {
-            let slopes =
-                layer.recurrent.as_ref().map_or(layer.sums.address(), |buffer| buffer.address());
-            self.learn(last, recurrent, layer.states.address(), slopes, all)?;
+        if let (Some(recurrent), Some(products)) = (recurrent, &layer.recurrent) {
+            self.learn(last, recurrent, layer.states.address(), products.address(), all)?;
             self.change(last, recurrent)?;
         }
         Ok(())
+    }
+
+    /// The gradients by the sums and the carried state, of frames `first..first + frames`.
+    fn cells_backward(
+        &self,
+        layer: &LayerMemory,
+        gates: usize,
+        first: usize,
+        frames: usize,
+    ) -> Result<()> {
+        let wide = self.constants.hidden_columns();
+        let products = layer.recurrent.as_ref();
+        self.launch(
+            Kernel::CellsBackward,
+            self.units(1),
+            &[
+                self.at(&layer.sums, first, gates).into(),
+                products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
+                self.at(&layer.states, first, wide).into(),
+                self.state_numbers().into(),
+                self.at(&layer.gradient, first, wide).into(),
+                layer.carried.address().into(),
+                frames.into(),
+            ],
+        )
     }
 }

@@ -1,7 +1,5 @@
 //! Frames through the network, and the loss.
 
-use eddy_inference::checkpoint::Core;
-
 use crate::{
     device::{Address, Argument, Queue, Shape},
     error::Result,
@@ -9,7 +7,7 @@ use crate::{
     training::Settings,
 };
 
-use super::{BODY, SUMS, Training};
+use super::{BODY, LayerMemory, SUMS, Training};
 
 /// The frames of a segment that the decoder runs on.
 pub(super) struct Decoded {
@@ -133,56 +131,49 @@ impl Training {
         let sums = self.at(&layer.sums, first, gates);
         let states = self.at(&layer.states, first, wide);
         self.forward_product(matrix, input, sums, rows)?;
-        let output = match (self.core, recurrent) {
-            (Core::Mlp, _) => {
-                self.launch(Kernel::ActivationForward, self.units(frames), &[sums.into()])?;
-                sums
-            }
-            (Core::MinGru | Core::MinLstm, _) | (_, None) => {
-                let kernel = if self.core == Core::MinGru {
-                    Kernel::MinGruForward
-                } else {
-                    Kernel::MinLstmForward
-                };
-                self.launch(kernel, self.units(1), &[sums.into(), states.into(), frames.into()])?;
-                states.plus(batch * wide)
-            }
-            (core, Some(recurrent)) => {
+        match (recurrent, &layer.recurrent) {
+            (Some(recurrent), Some(products)) => {
                 for t in first..first + frames {
-                    let (sums, states) =
-                        (self.at(&layer.sums, t, gates), self.at(&layer.states, t, wide));
-                    if let (Core::Lstm, Some(cells)) = (core, &layer.cells) {
-                        self.product(
-                            Queue::Main,
-                            [states, self.weight(recurrent), sums],
-                            [false, false],
-                            [wide, gates, gates],
-                            [batch, recurrent.rows, gates],
-                            true,
-                        )?;
-                        let cells = self.at(cells, t, wide);
-                        self.launch(
-                            Kernel::LstmForward,
-                            self.units(1),
-                            &[sums.into(), states.into(), cells.into()],
-                        )?;
-                    } else if let Some(from_state) = &layer.recurrent {
-                        let from_state = self.at(from_state, t, gates);
-                        self.forward_product(recurrent, states, from_state, batch)?;
-                        self.launch(
-                            Kernel::GruForward,
-                            self.units(1),
-                            &[sums.into(), from_state.into(), states.into()],
-                        )?;
-                    }
+                    let states = self.at(&layer.states, t, wide);
+                    self.forward_product(recurrent, states, self.at(products, t, gates), batch)?;
+                    self.cells_forward(layer, gates, t, 1)?;
                 }
-                states.plus(batch * wide)
             }
-        };
+            _ => self.cells_forward(layer, gates, first, frames)?,
+        }
+        let output = states.plus(batch * wide);
         let Some(dropped) = &layer.dropped else { return Ok(output) };
         let to = self.at(dropped, first, wide);
         self.dropout(number, output, to, first, frames, 1.0)?;
         Ok(to)
+    }
+
+    /// The states of frames `first..first + frames` from the sums.
+    fn cells_forward(
+        &self,
+        layer: &LayerMemory,
+        gates: usize,
+        first: usize,
+        frames: usize,
+    ) -> Result<()> {
+        let wide = self.constants.hidden_columns();
+        let products = layer.recurrent.as_ref();
+        self.launch(
+            Kernel::CellsForward,
+            self.units(1),
+            &[
+                self.at(&layer.sums, first, gates).into(),
+                products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
+                self.at(&layer.states, first, wide).into(),
+                self.state_numbers().into(),
+                frames.into(),
+            ],
+        )
+    }
+
+    /// Numbers from a layer's outputs of all frames to its cells.
+    pub(super) fn state_numbers(&self) -> u64 {
+        ((self.frames() + 1) * self.settings.batch * self.constants.hidden_columns()) as u64
     }
 
     /// Dropout of a layer's outputs, or of their gradients.

@@ -38,24 +38,6 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
   }
 }
 
-// The gradients by a unit's sums in the place of what `unit_forward` has left there, from the one by its new state; `last` is the
-// state before, `output` the new one. Returns the gradient by the state before, but for the part through the sums.
-__device__ __forceinline__ float unit_gradient(float* sums, float by, float last, float output, float cell_before, float cell, float* by_cell) {
-#if CORE == 0
-  sums[0] = by * activation_slope(output);
-  return 0.0f;
-#elif CORE == 1
-  return mingru_gradient(sums[0], sums[1], last, by);
-#elif CORE == 2
-  return minlstm_gradient(sums[0], sums[1], sums[2], last, by);
-#elif CORE == 3
-  return gru_gradient(sums[0], sums[1], sums[2], sums[3], last, by);
-#else
-  lstm_gradient(sums[0], sums[1], sums[2], sums[3], cell_before, cell, by, *by_cell);
-  return 0.0f;
-#endif
-}
-
 // Where a tile's numbers of a layer with ReLU are not positive, there is no gradient by its sums; nor where there is no particle.
 __device__ __forceinline__ void mask_tile(const Tile& tile, float* by, int stride, const float* outputs, int width) {
   for (int i = lane_of(); i < WARP_ROWS * (width / 4); i += WARP) {
@@ -107,30 +89,38 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode_gradien
         if (row < tile.count) {
           const size_t number = (carried + row) * H4 + unit;
           float* own = s.gates + (gates_at + row) * SLOTS + unit;
-          float by[4] = {0.0f, 0.0f, 0.0f, 0.0f}, last[4], output[4], cell_before[4], cell[4], by_cell[4];
+          // Outputs and cells are lists of their own.
+          float *const by_state[2] = {s.by_output, s.by_cell}, *const states[2] = {s.outputs, s.cells};
+          float by[STATES][4] = {}, last[STATES][4], next[STATES][4];
 #pragma unroll
           for (int gate = 0; gate < GATE_SUMS; gate++) load_units<4>(own + gate * H4, sums[gate]);
-          if (CORE) load_units<4>(s.by_output + number, by);
-          load_units<4>(s.outputs + (before + row) * H4 + unit, last);
-          load_units<4>(s.outputs + (after + row) * H4 + unit, output);
-#if CORE == 4
-          load_units<4>(s.cells + (before + row) * H4 + unit, cell_before);
-          load_units<4>(s.cells + (after + row) * H4 + unit, cell);
-          load_units<4>(s.by_cell + number, by_cell);
-#endif
+#pragma unroll
+          for (int i = 0; i < STATES; i++) {
+            if (REMEMBERS) load_units<4>(by_state[i] + number, by[i]);
+            load_units<4>(states[i] + (before + row) * H4 + unit, last[i]);
+            load_units<4>(states[i] + (after + row) * H4 + unit, next[i]);
+          }
 #pragma unroll
           for (int u = 0; u < 4; u++) {
-            float one[GATE_SUMS];
+            float one[GATE_SUMS], one_last[STATES], one_next[STATES], one_by[STATES];
 #pragma unroll
             for (int gate = 0; gate < GATE_SUMS; gate++) one[gate] = sums[gate][u];
-            by[u] = unit_gradient(one, by[u] + x[row * LEARN_NARROW + unit + u], last[u], output[u], cell_before[u], cell[u], &by_cell[u]);
+#pragma unroll
+            for (int i = 0; i < STATES; i++) {
+              one_last[i] = last[i][u];
+              one_next[i] = next[i][u];
+              one_by[i] = by[i][u];
+            }
+            one_by[0] += x[row * LEARN_NARROW + unit + u];
+            cell_gradient(one, one_last, one_next, one_by);
+#pragma unroll
+            for (int i = 0; i < STATES; i++) by[i][u] = one_by[i];
 #pragma unroll
             for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate][u] = one[gate];
           }
-          if (CORE) store_units(s.by_output + number, by);
-#if CORE == 4
-          store_units(s.by_cell + number, by_cell);
-#endif
+#pragma unroll
+          for (int i = 0; i < STATES; i++)
+            if (REMEMBERS) store_units(by_state[i] + number, by[i]);
 #pragma unroll
           for (int gate = 0; gate < GATE_SUMS; gate++) store_units(own + gate * H4, sums[gate]);
         }
@@ -138,12 +128,12 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode_gradien
         for (int gate = 0; gate < GATE_SUMS; gate++) store_units(slots + row * LEARN_SLOTS + gate * H4 + unit, sums[gate]);
       }
       __syncwarp();
-#if CORE >= 3
-      // Of GRU, the last gate's part through the state is the last slot.
+#if RECURRENT
+      // The part of the last gate through the state is the last slot, if it is a sum of its own.
       const float* recurrent = matrix + GATES_SIZE;
-      tile_product<false>(slots, LEARN_SLOTS, y, LEARN_NARROW, recurrent, CORE_COLUMNS, nullptr, CORE == 3 ? 2 * H4 : SLOTS, H4, false);
-#if CORE == 3
-      tile_product<true>(slots + 3 * H4, LEARN_SLOTS, y, LEARN_NARROW, recurrent + 2 * H4, CORE_COLUMNS, nullptr, H4, H4, false);
+      tile_product<false>(slots, LEARN_SLOTS, y, LEARN_NARROW, recurrent, CORE_COLUMNS, nullptr, SPLIT_GATE * H4, H4, false);
+#if SPLIT_GATE < GATES
+      tile_product<true>(slots + GATES * H4, LEARN_SLOTS, y, LEARN_NARROW, recurrent + SPLIT_GATE * H4, CORE_COLUMNS, nullptr, H4, H4, false);
 #endif
       __syncwarp();
       for (int i = lane_of(); i < tile.count * H4; i += WARP) s.by_output[carried * H4 + i] += y[i / H4 * LEARN_NARROW + i % H4];

@@ -91,7 +91,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode(const P
 #define ROUND64(n) (((n) + 63) / 64 * 64)
 #define CONTEXT_SIZE ROUND64((CONCAT + 1) * H4)
 #define GATES_SIZE ROUND64((H4 + 1) * CORE_COLUMNS)
-#define CORE_SIZE ((CORE >= 3 ? 2 : 1) * GATES_SIZE)
+#define CORE_SIZE ((RECURRENT ? 2 : 1) * GATES_SIZE)
 #define MIXER_SIZE ROUND64((H4 + 1) * H4)
 #define SLOTS (GATE_SUMS * H4)
 
@@ -141,41 +141,43 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const P
       load_tile(tile, last, LEARN_NARROW, s.outputs + before * H4, H4);
       tile_layer(units, LEARN_NARROW, slots, LEARN_SLOTS, matrix, H4, CORE_COLUMNS, false);
       __syncwarp();
-#if CORE >= 3
-      // Of GRU, the last gate's products with the state are kept apart, behind the gates.
+#if RECURRENT
+      // The products of a gate that are a sum of their own are those of the last gate, and lie behind the gates.
       const float *recurrent = matrix + GATES_SIZE, *bias = recurrent + H4 * CORE_COLUMNS;
-      tile_product<true>(last, LEARN_NARROW, slots, LEARN_SLOTS, recurrent, H4, bias, H4, CORE == 3 ? 2 * H4 : SLOTS, false);
-#if CORE == 3
-      tile_product<false>(last, LEARN_NARROW, slots + 3 * H4, LEARN_SLOTS, recurrent + 2 * H4 * H4, H4, bias + 2 * H4, H4, H4, false);
+      tile_product<true>(last, LEARN_NARROW, slots, LEARN_SLOTS, recurrent, H4, bias, H4, SPLIT_GATE * H4, false);
+#if SPLIT_GATE < GATES
+      tile_product<false>(last, LEARN_NARROW, slots + GATES * H4, LEARN_SLOTS, recurrent + SPLIT_GATE * H4 * H4, H4, bias + SPLIT_GATE * H4, H4, H4, false);
 #endif
       __syncwarp();
 #endif
       for (int i = lane_of(); i < WARP_ROWS * (H4 / 4); i += WARP) {
         const int row = i / (H4 / 4), unit = i % (H4 / 4) * 4;
         const bool kept = row < tile.count;
-        float sums[GATE_SUMS][4], cells[4] = {0.0f, 0.0f, 0.0f, 0.0f}, before_it[4], state[4];
+        float sums[GATE_SUMS][4], states[STATES][4] = {};
 #pragma unroll
         for (int gate = 0; gate < GATE_SUMS; gate++) load_units<4>(slots + row * LEARN_SLOTS + gate * H4 + unit, sums[gate]);
-        load_units<4>(last + row * LEARN_NARROW + unit, before_it);
-#if CORE == 4
-        if (kept) load_units<4>(s.cells + (before + row) * H4 + unit, cells);
-#endif
+        load_units<4>(last + row * LEARN_NARROW + unit, states[0]);
+#pragma unroll
+        for (int i = 1; i < STATES; i++)
+          if (kept) load_units<4>(s.cells + (before + row) * H4 + unit, states[i]);
 #pragma unroll
         for (int u = 0; u < 4; u++) {
-          float own[GATE_SUMS];
+          float own[GATE_SUMS], state[STATES];
 #pragma unroll
           for (int gate = 0; gate < GATE_SUMS; gate++) own[gate] = sums[gate][u];
-          state[u] = unit_forward(own, before_it[u], &cells[u]);
+#pragma unroll
+          for (int i = 0; i < STATES; i++) state[i] = states[i][u];
+          cell_forward(own, state);
           // Padding has no state: the sums there are zero, their gates are not.
-          if (unit + u >= H) state[u] = cells[u] = 0.0f;
+#pragma unroll
+          for (int i = 0; i < STATES; i++) states[i][u] = unit + u < H ? state[i] : 0.0f;
 #pragma unroll
           for (int gate = 0; gate < GATE_SUMS; gate++) sums[gate][u] = own[gate];
         }
-        store_units(units + row * LEARN_NARROW + unit, state);
+        store_units(units + row * LEARN_NARROW + unit, states[0]);
         if (!kept) continue;
-#if CORE == 4
-        store_units(s.cells + (after + row) * H4 + unit, cells);
-#endif
+#pragma unroll
+        for (int i = 1; i < STATES; i++) store_units(s.cells + (after + row) * H4 + unit, states[i]);
 #pragma unroll
         for (int gate = 0; gate < GATE_SUMS; gate++) store_units(s.gates + (gates_at + row) * SLOTS + gate * H4 + unit, sums[gate]);
       }

@@ -12,13 +12,13 @@
 //! Widths are rounded up to 4; the bias is the row behind them.
 
 use eddy_inference::{
-    checkpoint::{Core, Description, grid::GridLayer, layout},
+    checkpoint::{Description, grid::GridLayer, layout},
     kernels::nodes::MAX_LEVELS,
 };
 
 use crate::{
     error::{CudaError, Result},
-    kernels::{AXES, PARTICLE_TRAINING_SOURCE, Program, gates},
+    kernels::{AXES, PARTICLE_TRAINING_SOURCE, Program},
     particle::layout::{Constants, fitting, four, odd},
     training::{Builder, Matrix, Packing, Part},
 };
@@ -86,14 +86,9 @@ impl TrainingConstants {
         four(self.network.encoder)
     }
 
-    /// Sums of a unit that are kept, `GATE_SUMS` of the kernels: GRU keeps the products of n with the state apart.
-    pub(super) fn sums(&self) -> usize {
-        if self.network.core == Core::Gru { 4 } else { gates(self.network.core) }
-    }
-
-    /// Numbers of those of all units.
+    /// Sums of all units that are kept.
     pub(super) fn slots(&self) -> usize {
-        self.sums() * self.network.hidden_columns()
+        self.network.core.sums() * self.network.hidden_columns()
     }
 
     /// Columns of the decoder.
@@ -123,8 +118,8 @@ impl TrainingConstants {
 }
 
 impl Program for TrainingConstants {
-    fn source(&self) -> &'static str {
-        PARTICLE_TRAINING_SOURCE
+    fn source(&self) -> String {
+        self.network.source() + &PARTICLE_TRAINING_SOURCE.concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
@@ -190,19 +185,12 @@ impl Layout {
         let units = constants.network.hidden_columns();
         let core_layers = (0..layers)
             .map(|layer| {
-                let parts = layout::core_parts(core).iter();
-                let parts: Vec<_> = parts
-                    .map(|&(name, gates)| {
-                        part(layout::core_names(core, layer, name), gates, hidden)
-                    })
-                    .collect();
-                match (core, parts.as_slice()) {
-                    (Core::Gru | Core::Lstm, [input, recurrent]) => {
-                        let mut one = |part: &Part| matrix(vec![part.clone()], rows(hidden), units);
-                        (one(input), Some(one(recurrent)))
-                    }
-                    _ => (matrix(parts, rows(hidden), units), None),
-                }
+                let named = |name: &str, gates| part(core.tensors(layer, name), gates, hidden);
+                let input = core.input_parts().iter().map(|&(name, gates)| named(name, gates));
+                let mut matrix = |parts| matrix(parts, rows(hidden), units);
+                let input = matrix(input.collect());
+                let recurrent = core.recurrent_part();
+                (input, recurrent.map(|name| matrix(vec![named(name, core.gates())])))
             })
             .collect();
         let mixer = matrix(one("mixer", hidden), rows(hidden), units);
@@ -226,7 +214,7 @@ mod tests {
 
     use super::*;
     use eddy_inference::checkpoint::{
-        Architecture, GridOptions, Sizes, initial_weights, layout::linear_layers,
+        Architecture, Core, GridOptions, Sizes, initial_weights, layout::linear_layers,
     };
 
     proptest! {

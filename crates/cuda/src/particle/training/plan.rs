@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use eddy_inference::{
-    checkpoint::{Core, Description, grid::Stencil},
+    checkpoint::{Description, grid::Stencil},
     engine::{Ballistic, scales},
     kernels::nodes::{MAX_LEVELS, map_extent},
 };
@@ -180,7 +180,7 @@ impl Memory {
         let units = network.hidden_columns();
         let ballistic = Ballistic::new(description);
         let (slowest, fastest) = scales::velocity_limits(&description.normalization);
-        let is_lstm = network.core == Core::Lstm;
+        let has_cells = network.core.states() > 1;
 
         let mut lists = Lists { device: &**device, kept: Vec::new() };
         let (mut fields, mut slopes) = ([0; MAX_FIELDS], [0; MAX_FIELDS]);
@@ -202,7 +202,7 @@ impl Memory {
         let carried_rows = batch * most;
         let carried = [
             network.layers * carried_rows * units,
-            if is_lstm { network.layers * carried_rows * units } else { 0 },
+            if has_cells { network.layers * carried_rows * units } else { 0 },
             carried_rows * AXES,
             carried_rows * BODY,
         ];
@@ -241,7 +241,7 @@ impl Memory {
             context: lists.next(rows * units)?,
             gates: lists.next(network.layers * rows * constants.slots())?,
             outputs: lists.next(states)?,
-            cells: lists.next(if is_lstm { states } else { 0 })?,
+            cells: lists.next(if has_cells { states } else { 0 })?,
             mixed: lists.next(rows * units)?,
             output: lists.next(rows * constants.output_columns())?,
             fields,

@@ -277,7 +277,7 @@ fn rows(
         let by_sums = Rows { strides: [units, slots], ..Rows::of_particles(input, gates) };
         all.push((matrix.first, by_sums));
         if let Some(recurrent) = recurrent {
-            // Of GRU, the last gate's part through the state is the slot behind the gates.
+            // The part of the last gate through the state is the slot behind the gates, if it is a sum of its own.
             let gap = slots - recurrent.columns;
             let last = outputs(layer, 0);
             let rows = Rows { gap, ..Rows::of_particles(last, gates) };

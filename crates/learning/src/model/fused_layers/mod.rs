@@ -1,9 +1,11 @@
 //! The networks' layers as [`fused`](super::fused) operations of the kernels. `grid` has the layers on the particle model's
-//! grid, `particles` its features and predicted motion.
+//! grid, `particles` its features and predicted motion, `cells` the recurrent cells.
 
+mod cells;
 mod grid;
 mod particles;
 
+pub(crate) use cells::cells;
 pub(crate) use grid::{gathered, read, spread, write};
 pub(crate) use particles::{advance, expected_velocities, features, shape};
 
@@ -15,10 +17,7 @@ use eddy_inference::{
     kernels::{
         activation::{Elu, Relu, Sigmoid, Tanh, relu_gradient},
         encoder::{Encoder, Gradients, Means},
-        gru::{self, Gru},
         linear::Linear,
-        lstm::{self, Lstm},
-        minimal::Minimal,
     },
 };
 
@@ -178,151 +177,5 @@ impl<const F: usize> Operation<3> for EncodeOf<F> {
             Activation::Elu => layer.backward(Elu, points, &slopes, gradient, by_points),
         };
         [points, weight, bias]
-    }
-}
-
-/// The states of minGRU: gate and candidate `[T, R, H]`, previous state `[R, H]`, to `[T, R, H]`.
-pub(crate) fn mingru(
-    kind: Minimal,
-    gate: Tensor<3>,
-    candidate: Tensor<3>,
-    carried: Tensor<2>,
-) -> Tensor<3> {
-    let shape = gate.dims();
-    apply(kind, [input(gate), input(candidate), input(carried)], shape)
-}
-
-impl Operation<3> for Minimal {
-    type Kept = ();
-
-    fn forward(&self, [gate, candidate, carried]: [&[f32]; 3]) -> (Vec<f32>, ()) {
-        (Minimal::forward(*self, [gate], candidate, carried), ())
-    }
-
-    fn backward(
-        &self,
-        [gate, candidate, carried]: [&[f32]; 3],
-        states: &[f32],
-        (): (),
-        gradient: &[f32],
-        _wanted: [bool; 3],
-    ) -> [Vec<f32>; 3] {
-        let by = Minimal::backward(*self, [gate], candidate, carried, states, gradient);
-        let [gate] = by.gates;
-        [gate, by.candidate, by.initial]
-    }
-}
-
-/// The states of minLSTM: gates and candidate `[T, R, H]`, previous state `[R, H]`, to `[T, R, H]`.
-pub(crate) fn minlstm(
-    kind: Minimal,
-    [forget, update]: [Tensor<3>; 2],
-    candidate: Tensor<3>,
-    carried: Tensor<2>,
-) -> Tensor<3> {
-    let shape = forget.dims();
-    apply(kind, [input(forget), input(update), input(candidate), input(carried)], shape)
-}
-
-impl Operation<4> for Minimal {
-    type Kept = ();
-
-    fn forward(&self, [forget, update, candidate, carried]: [&[f32]; 4]) -> (Vec<f32>, ()) {
-        (Minimal::forward(*self, [forget, update], candidate, carried), ())
-    }
-
-    fn backward(
-        &self,
-        [forget, update, candidate, carried]: [&[f32]; 4],
-        states: &[f32],
-        (): (),
-        gradient: &[f32],
-        _wanted: [bool; 4],
-    ) -> [Vec<f32>; 4] {
-        let by = Minimal::backward(*self, [forget, update], candidate, carried, states, gradient);
-        let [forget, update] = by.gates;
-        [forget, update, by.candidate, by.initial]
-    }
-}
-
-/// The states of a GRU layer: products of the inputs `[T, R, 3 H]`, recurrent weights `[H, 3 H]` and
-/// bias `[3 H]`, previous state `[R, H]`, to `[T, R, H]`.
-pub(crate) fn gru(
-    inputs: Tensor<3>,
-    weight: Tensor<2>,
-    bias: Tensor<1>,
-    hidden: Tensor<2>,
-) -> Tensor<3> {
-    let [frames, rows, _] = inputs.dims();
-    let shape = [frames, rows, hidden.dims()[1]];
-    apply(GruLayer, [input(inputs), input(weight), input(bias), input(hidden)], shape)
-}
-
-#[derive(Clone, Copy, Debug)]
-struct GruLayer;
-
-impl Operation<4> for GruLayer {
-    /// Gates and recurrent products.
-    type Kept = [Vec<f32>; 2];
-
-    fn forward(&self, [inputs, weight, bias, hidden]: [&[f32]; 4]) -> (Vec<f32>, Self::Kept) {
-        let gru::States { states, gates, recurrent } =
-            Gru { inputs, weight, bias, hidden }.forward();
-        (states, [gates, recurrent])
-    }
-
-    fn backward(
-        &self,
-        [inputs, weight, bias, hidden]: [&[f32]; 4],
-        states: &[f32],
-        [gates, recurrent]: Self::Kept,
-        gradient: &[f32],
-        [_, _, _, by_start]: [bool; 4],
-    ) -> [Vec<f32>; 4] {
-        let layer = Gru { inputs, weight, bias, hidden };
-        let by = layer.backward(states, &gates, &recurrent, gradient, by_start);
-        [by.inputs, by.weight, by.bias, by.hidden]
-    }
-}
-
-/// Outputs and cells of an LSTM layer, concatenated: products of the inputs `[T, R, 4 H]`, recurrent
-/// weights `[H, 4 H]` and bias `[4 H]`, previous output and cell `[R, H]`, to `[T, R, 2 H]`.
-pub(crate) fn lstm(
-    inputs: Tensor<3>,
-    weight: Tensor<2>,
-    bias: Tensor<1>,
-    [hidden, cell]: [Tensor<2>; 2],
-) -> Tensor<3> {
-    let [frames, rows, _] = inputs.dims();
-    let shape = [frames, rows, 2 * hidden.dims()[1]];
-    let inputs = [input(inputs), input(weight), input(bias), input(hidden), input(cell)];
-    apply(LstmLayer, inputs, shape)
-}
-
-#[derive(Clone, Copy, Debug)]
-struct LstmLayer;
-
-impl Operation<5> for LstmLayer {
-    /// Gates.
-    type Kept = Vec<f32>;
-
-    fn forward(&self, inputs: [&[f32]; 5]) -> (Vec<f32>, Self::Kept) {
-        let [inputs, weight, bias, hidden, cell] = inputs;
-        let lstm::States { states, gates } = Lstm { inputs, weight, bias, hidden, cell }.forward();
-        (states, gates)
-    }
-
-    fn backward(
-        &self,
-        inputs: [&[f32]; 5],
-        states: &[f32],
-        gates: Self::Kept,
-        gradient: &[f32],
-        [_, _, _, by_hidden, by_cell]: [bool; 5],
-    ) -> [Vec<f32>; 5] {
-        let [inputs, weight, bias, hidden, cell] = inputs;
-        let layer = Lstm { inputs, weight, bias, hidden, cell };
-        let by = layer.backward(states, &gates, gradient, by_hidden || by_cell);
-        [by.inputs, by.weight, by.bias, by.hidden, by.cell]
     }
 }
