@@ -2,11 +2,8 @@
 
 use std::{num::NonZeroUsize, path::PathBuf, sync::Mutex};
 
-use eddy_evaluation::{
-    Evaluation, EvaluationRequest, Reference, Settings,
-    dataset::{LoadOptions, available_memory, load_trajectories},
-    position_skill,
-};
+use eddy_dataset::{LoadOptions, available_memory, load_trajectories};
+use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Settings, position_skill};
 use eddy_inference::checkpoint::Checkpoint;
 use pyo3::prelude::*;
 

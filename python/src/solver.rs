@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use eddy_evaluation::dataset::available_memory;
+use eddy_dataset::available_memory;
 use eddy_mpm::{Law, Settings, Simulation};
 use pyo3::{prelude::*, types::PyDict};
 

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, sync::Mutex};
 
-use eddy_evaluation::dataset::{Dataset, LoadOptions, available_memory};
+use eddy_dataset::{Dataset, LoadOptions, available_memory};
 use eddy_inference::checkpoint::Checkpoint;
 use eddy_learning::{
     model::{Architecture, DeviceKind, GpuOptions, Precision},

@@ -2,7 +2,7 @@
 
 use std::{ffi::CString, path::PathBuf};
 
-use eddy_evaluation::dataset::DatasetError;
+use eddy_dataset::DatasetError;
 use eddy_messages::UnusableFrame;
 use eddy_settings::types;
 use pyo3::{

@@ -7,7 +7,7 @@ use regex::Regex;
 
 use super::{RecordArgs, ReplayArgs};
 use eddy_bag::{BagTime, Compression};
-use eddy_evaluation::dataset::TRUTH_TOPIC;
+use eddy_dataset::TRUTH_TOPIC;
 use eddy_exchange::{ExportFormat, ImportFormat};
 use eddy_frames::Material;
 use eddy_settings::near;

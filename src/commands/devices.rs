@@ -1,8 +1,8 @@
 //! `eddy devices`: what networks can be trained on.
 
 use eddy_cli::terminal;
-use eddy_evaluation::page::Table;
 use eddy_learning::model::DeviceKind;
+use eddy_pages::Table;
 
 /// Lists the devices.
 pub fn run() -> anyhow::Result<()> {

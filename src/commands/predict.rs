@@ -8,7 +8,7 @@ use super::{node::summary, streams, surrogate};
 use crate::cli::PredictArgs;
 use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions};
 use eddy_cli::{Interrupt, Output, OutputKind};
-use eddy_evaluation::{EvaluationError, dataset};
+use eddy_evaluation::EvaluationError;
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_node::{NodeSettings, Prediction, SurrogateNode};
@@ -22,7 +22,7 @@ const PREDICTION: &str = "/prediction";
 /// that is before 0, so that two runs give identical files.
 pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let (reader, mut node) = open(&args)?;
-    let found = dataset::survey_streams(&reader, &args.topic, &|| interrupt.requested())?;
+    let found = eddy_dataset::survey_streams(&reader, &args.topic, &|| interrupt.requested())?;
     if let (Some(first), false) = (found.unusable.values().next(), args.skip_streams) {
         return Err(streams::refused_frame(first));
     }
@@ -87,10 +87,10 @@ fn open(args: &PredictArgs) -> anyhow::Result<(BagReader, SurrogateNode)> {
     options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
     let reader = BagReader::open(&args.input)?;
     if surrogate.description().stiffness && settings.stiffness.is_none() {
-        let stiffness = dataset::stiffness_of(&reader, &args.topic);
+        let stiffness = eddy_dataset::stiffness_of(&reader, &args.topic);
         settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
     }
-    let stated = dataset::stated_by(&reader, &args.topic)?;
+    let stated = eddy_dataset::stated_by(&reader, &args.topic)?;
     let mut node = SurrogateNode::new(surrogate, settings)?;
     node.streams_state(stated);
     Ok((reader, node))

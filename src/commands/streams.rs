@@ -3,11 +3,11 @@
 use std::{collections::BTreeSet, path::PathBuf};
 
 use anyhow::anyhow;
-use eddy_evaluation::{
-    dataset::{DatasetError, LoadOptions, Loaded, Trajectory, available_memory, load_trajectories},
-    page::command_line,
+use eddy_dataset::{
+    DatasetError, LoadOptions, Loaded, Trajectory, available_memory, load_trajectories,
 };
 use eddy_messages::UnusableFrame;
+use eddy_pages::command_line;
 
 use super::counted;
 

@@ -7,11 +7,8 @@ use eddy_cli::{
     Interrupt, Output, OutputKind, TerminalProgress, keep_freed_memory, on_disk, progress_bar,
     terminal,
 };
-use eddy_evaluation::{
-    dataset::{Dataset, LoadOptions, Trajectory, available_memory},
-    page::{Table, command_line},
-    skill_text,
-};
+use eddy_dataset::{Dataset, LoadOptions, Trajectory, available_memory};
+use eddy_evaluation::skill_text;
 use eddy_frames::clock::Clock;
 use eddy_inference::checkpoint::{Checkpoint, Description};
 use eddy_learning::{
@@ -21,6 +18,7 @@ use eddy_learning::{
         data_warnings, test_skill, train,
     },
 };
+use eddy_pages::{Table, command_line};
 use eddy_settings::{Overrides, ensure_usage, usage::Usage};
 use indicatif::{HumanBytes, HumanCount, ProgressDrawTarget};
 

@@ -2,14 +2,12 @@
 
 use std::{fs, path::Path};
 
-use eddy_evaluation::{
-    Report,
-    dataset::{self, LoadOptions, Trajectory},
-    page::Provenance,
-};
+use eddy_dataset::{LoadOptions, Trajectory};
+use eddy_evaluation::Report;
 use eddy_inference::checkpoint::{
     Architecture, Checkpoint, Core, Description, Rules, Sizes, initial_weights,
 };
+use eddy_pages::Provenance;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -258,7 +256,7 @@ fn a_grid_that_cannot_be_halved_leaves_out_that_rival_only() {
 /// The streams of a bag or a directory of bags.
 fn streams(data: &str) -> Vec<Trajectory> {
     let options = LoadOptions::within(u64::MAX);
-    dataset::load_trajectories(&[data.into()], options, &mut |_, _| ()).unwrap().streams
+    eddy_dataset::load_trajectories(&[data.into()], options, &mut |_, _| ()).unwrap().streams
 }
 
 #[test]
@@ -266,7 +264,7 @@ fn data_without_a_scene_that_the_checkpoint_has_not_seen_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
     simulate(&folder.path().join("truth"), 1, 0.2);
-    let digest = dataset::digest(&streams(&data), |_| ()).unwrap();
+    let digest = eddy_dataset::digest(&streams(&data), |_| ()).unwrap();
     let seen = changed(&folder, "seen", |description| description.data = digest);
     let message = fail(1, ["eval", "--checkpoint", &seen, "--data", &data, "--output", &output]);
     assert!(message.contains("every stream was used to train a checkpoint"), "{message}");

@@ -9,7 +9,7 @@ use std::{
 };
 
 use eddy_bag::{BagReader, BagWriter, Survey, WriterOptions};
-use eddy_evaluation::dataset::{LoadOptions, load_trajectories, survey_streams};
+use eddy_dataset::{LoadOptions, load_trajectories, survey_streams};
 use eddy_exchange::{ImportFormat, ImportOverrides, import};
 use eddy_frames::Stamp;
 use eddy_inference::{checkpoint::Checkpoint, engine::Surrogate};

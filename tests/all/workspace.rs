@@ -16,19 +16,19 @@ const HOMES: [(&str, &str); 23] = [
     ("burn", "learning"),
     ("bytes", "storage"),
     ("cudarc", "cuda"),
-    ("embedded-graphics", "evaluation"),
+    ("embedded-graphics", "pages"),
     ("foxglove", "transport"),
-    ("gif", "evaluation"),
+    ("gif", "pages"),
     ("hdf5", "exchange"),
     ("hyper", "node"),
     ("hyper-util", "node"),
     ("iceoryx2", "transport"),
-    ("maud", "evaluation"),
+    ("maud", "pages"),
     ("mcap", "bag"),
     ("npyz", "exchange"),
     ("object_store", "storage"),
-    ("plotters", "evaluation"),
-    ("plotters-backend", "evaluation"),
+    ("plotters", "pages"),
+    ("plotters-backend", "pages"),
     ("reqwest", "storage"),
     ("ros2-client", "transport"),
     ("strsim", "settings"),
@@ -47,10 +47,11 @@ const MIDDLEWARE: [(&str, &str); 5] = [
 ];
 
 /// Dependencies that crates meant for use on their own must not pull in.
-const WITHOUT: [(&str, &[&str]); 6] = [
+const WITHOUT: [(&str, &[&str]); 7] = [
     ("eddy-cuda", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-inference", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
     ("eddy-mpm", &["burn", "iceoryx2", "mcap", "ros2-client", "zenoh"]),
+    ("eddy-dataset", &["burn", "iceoryx2", "maud", "plotters", "ros2-client", "zenoh"]),
     ("eddy-evaluation", &["burn", "iceoryx2", "ros2-client", "zenoh"]),
     ("eddy-node", &["burn", "eddy-mpm", "gif", "maud", "plotters"]),
     ("eddy-threads", &["eddy-frames", "rayon", "tracing"]),

@@ -9,7 +9,7 @@ use clap::{
     Args, ValueEnum,
     builder::{PossibleValue, PossibleValuesParser},
 };
-use eddy_evaluation::dataset::simulate::{SimulateError, SimulationRequest, Source};
+use eddy_dataset::simulate::{SimulateError, SimulationRequest, Source};
 use eddy_mpm::{Extent, ExtentOptions, Law, ParticleOrder, Preset, Scene, Settings};
 use eddy_settings::{self as config, usage::Usage};
 

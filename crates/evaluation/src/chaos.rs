@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{EvalError, Rollout};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{Frame, State, decimal};
 use eddy_mpm::{MpmError, Scene, Settings, Simulation};
 

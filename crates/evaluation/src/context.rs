@@ -1,7 +1,7 @@
 //! The evaluation context: settings, walls and units, the same for all predictors.
 
 use super::{EvalError, LinearFit, Predictor, Units, window::starts};
-use crate::dataset::Bounds;
+use eddy_dataset::Bounds;
 use eddy_frames::{Domain, State};
 use eddy_inference::{
     checkpoint::{Description, Normalization},

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Context, EvalError, Kind, Predictor, chaos, model_rollout::begin_stream};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{State, clock::Clock};
 use eddy_inference::engine::Surrogate;
 use eddy_mpm::Scene;

@@ -17,16 +17,14 @@ use super::{
     side_by_side::rollout_threads,
     snapshot::snapshot,
 };
-use crate::{
-    dataset::{DatasetError, Stream, Trajectory, simulate::SimulateError},
-    page::Provenance,
-};
+use eddy_dataset::{DatasetError, Stream, Trajectory, simulate::SimulateError};
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     checkpoint::Checkpoint,
     engine::{ModelError, Surrogate, warnings},
 };
 use eddy_mpm::Scene;
+use eddy_pages::Provenance;
 
 /// Maximum number of models whose rollouts are shown as pictures.
 const PICTURED_MODELS: usize = 4;

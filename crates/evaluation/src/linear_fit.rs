@@ -1,9 +1,7 @@
 //! Ten numbers fitted by least squares: the simplest predictor that learns from data.
 
-use crate::{
-    dataset::{DatasetError, Trajectory},
-    normal_equations::solve,
-};
+use crate::normal_equations::solve;
+use eddy_dataset::{DatasetError, Trajectory};
 use eddy_frames::State;
 
 /// Pairs of consecutive frames that a fit uses, at most; they are spread evenly over all streams.
@@ -89,7 +87,7 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::Stream;
+    use eddy_dataset::Stream;
     use eddy_frames::{Domain, Material, Stamp};
 
     /// A stream whose particles move by `fit`, from places that differ.

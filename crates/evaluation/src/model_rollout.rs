@@ -1,7 +1,7 @@
 //! Rollouts of models: they observe a stream, then predict from their own output.
 
 use super::{Rollout, error_estimates::Sampler, steps::StepResults, task::RolloutTask};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{Frame, State};
 use eddy_inference::engine::{HiddenState, ModelError, Stepper, Surrogate};
 
@@ -106,10 +106,8 @@ fn roll_out(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        dataset::{LoadOptions, Stream, load_trajectories},
-        measure::Flights,
-    };
+    use crate::measure::Flights;
+    use eddy_dataset::{LoadOptions, Stream, load_trajectories};
     use eddy_inference::checkpoint::Checkpoint;
 
     fn sample() -> Stream {

@@ -183,11 +183,9 @@ impl Recorded {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        Evaluation, EvaluationError, EvaluationRequest, Report, Settings,
-        dataset::{LoadOptions, load_trajectories},
-    };
+    use crate::{Evaluation, EvaluationError, EvaluationRequest, Report, Settings};
     use eddy_bag::{BagWriter, WriterOptions};
+    use eddy_dataset::{LoadOptions, load_trajectories};
     use eddy_frames::{Stamp, progress::Silent};
     use eddy_inference::{checkpoint::Checkpoint, engine::Surrogate};
 

@@ -7,7 +7,7 @@ use super::{
     EvalError, EvaluationError, Predictor, Restart, chaos,
     reproduction::{FRAMES, Reproduction, reproduction},
 };
-use crate::dataset::{Trajectory, simulate::ScenesBeside};
+use eddy_dataset::{Trajectory, simulate::ScenesBeside};
 use eddy_mpm::Scene;
 
 /// A solver that predicts from the same frames as the models.

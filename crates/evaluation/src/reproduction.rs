@@ -1,7 +1,7 @@
 //! Whether simulating a scene gives a recorded stream again: solvers may be restarted from its frames only if it is that scene's.
 
 use super::chaos;
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::State;
 use eddy_mpm::{MpmError, Scene};
 

@@ -4,7 +4,7 @@ use super::{
     Rollout,
     measure::{FlightSums, Flights},
 };
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{State, decimal};
 use eddy_mpm::{GridShape, MpmError, Particle, Scene, Solver, SolverSettings, minimum_substeps};
 

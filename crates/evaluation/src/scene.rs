@@ -10,7 +10,7 @@ use super::{
     steps::{StepResults, StepSums},
     task::RolloutTask,
 };
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::Material;
 use eddy_mpm::Scene;
 

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::{Context, EvaluationError, Settings};
-use crate::dataset::{self, Bounds, Trajectory};
+use eddy_dataset::{self, Bounds, Trajectory};
 use eddy_inference::{checkpoint::Description, kernels::spacing::spacing};
 
 /// The streams to evaluate on, and their evaluation context.
@@ -31,11 +31,11 @@ impl Selection {
         };
         let all = streams.len();
         let mut remarks = Vec::new();
-        let mut digest = dataset::digest(&streams, |_| ())?;
+        let mut digest = eddy_dataset::digest(&streams, |_| ())?;
         let mut walls = Bounds::default();
         streams.iter().for_each(|stream| walls.join(&stream.bounds));
         if descriptions.iter().any(|description| description.data == digest) {
-            streams = dataset::test_part(&streams);
+            streams = eddy_dataset::test_part(&streams);
             let remark =
                 "a checkpoint was trained on this data set: only its test part is evaluated";
             remarks.push(remark.to_owned());
@@ -53,7 +53,7 @@ impl Selection {
             ));
         }
         if streams.len() < all {
-            digest = dataset::digest(&streams, |_| ())?;
+            digest = eddy_dataset::digest(&streams, |_| ())?;
         }
         let mut spacings: Vec<f32> = streams.iter().map(|stream| spacing(&stream.rest)).collect();
         spacings.sort_by(f32::total_cmp);

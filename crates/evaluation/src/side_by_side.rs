@@ -1,6 +1,6 @@
 //! How many streams are rolled out at the same time.
 
-use crate::dataset::{Trajectory, available_memory};
+use eddy_dataset::{Trajectory, available_memory};
 use eddy_inference::engine::Surrogate;
 
 /// Number of threads that each roll out over one stream at a time: one per core; with a model on a device, which steps the

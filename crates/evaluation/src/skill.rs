@@ -7,7 +7,7 @@ use super::{
     bootstrap::{MIN_SCENES, bootstrap},
     numbers,
 };
-use crate::dataset::Bounds;
+use eddy_dataset::Bounds;
 use eddy_frames::{State, mean_squared_distance};
 use eddy_inference::engine::{Ballistic, Baseline};
 

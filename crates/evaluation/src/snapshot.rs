@@ -1,7 +1,7 @@
 //! Frames of a rollout beside the true ones, for pictures (the paper's Fig. 7).
 
 use super::{Context, EvalError, Predictor, SHOWN_FRAMES, measure::Flights, task::RolloutTask};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{Frame, Material};
 use eddy_mpm::Scene;
 

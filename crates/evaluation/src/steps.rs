@@ -4,7 +4,7 @@ use super::{
     errors::{difference, square},
     measure::{FlightSums, Flights},
 };
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 
 /// Squared position errors of one-step predictions over the windows of the rollouts, for comparison with these: one
 /// entry per frame ahead.

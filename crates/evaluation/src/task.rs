@@ -1,7 +1,7 @@
 //! The rollouts that every predictor of a scene makes.
 
 use super::{measure::Flights, steps::StepObserver};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_mpm::Scene;
 
 /// Rollouts of one stream.

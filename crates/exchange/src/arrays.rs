@@ -18,7 +18,7 @@ use npyz::{
 use zip::{CompressionMethod, ZipArchive, ZipWriter, result::ZipError, write::SimpleFileOptions};
 
 use super::error::ExchangeError;
-use eddy_evaluation::dataset::available_memory;
+use eddy_dataset::available_memory;
 
 /// The number types that are read.
 const NUMBERS: &str = "an array of numbers (f4, f8, i1 to i8 or u1 to u8)";

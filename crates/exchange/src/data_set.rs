@@ -8,7 +8,7 @@ use super::{
     metadata::{Metadata, Statistics},
     streams::{Progress, Streams, Track},
 };
-use eddy_evaluation::dataset::Part;
+use eddy_dataset::Part;
 
 const SCALE_RULE: &str = "metadata.json has one dt and one domain for all trajectories";
 

@@ -6,7 +6,7 @@ use std::{
 };
 
 use eddy_bag::BagError;
-use eddy_evaluation::dataset::DatasetError;
+use eddy_dataset::DatasetError;
 use eddy_messages::UnusableFrame;
 
 /// Why frames cannot be imported or exported.

@@ -9,7 +9,7 @@ use super::{
     streams::{Progress, Streams, Track},
     vtu,
 };
-use eddy_evaluation::dataset::simulate::ScenesBeside;
+use eddy_dataset::simulate::ScenesBeside;
 use eddy_settings::atomic::Staged;
 
 /// Formats for export.

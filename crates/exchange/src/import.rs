@@ -15,7 +15,7 @@ use super::{
     trajectory::{ImportOverrides, RawTrajectory},
 };
 use eddy_bag::{BagWriter, WriterOptions};
-use eddy_evaluation::dataset::TRUTH_TOPIC;
+use eddy_dataset::TRUTH_TOPIC;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_settings::atomic::Staged;
 

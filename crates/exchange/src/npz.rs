@@ -14,7 +14,7 @@ use super::{
     trajectory::{RawTrajectory, Types},
 };
 use eddy_bag::{BagReader, custom_data::Quantity};
-use eddy_evaluation::dataset::{quantity_of_stream, simulate::ScenesBeside};
+use eddy_dataset::{quantity_of_stream, simulate::ScenesBeside};
 
 /// The arrays of quantities of all matter.
 const QUANTITIES: [(&str, Quantity); 2] =

@@ -8,7 +8,7 @@ use super::{find_streams, messages, watch};
 use crate::{cli::ExportArgs, commands::counted};
 use eddy_bag::find_bags;
 use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
-use eddy_evaluation::dataset::TRUTH_TOPIC;
+use eddy_dataset::TRUTH_TOPIC;
 use eddy_exchange::{ExportFormat, FrameSelection, Streams, export};
 use eddy_settings::ensure_usage;
 

@@ -10,8 +10,8 @@ use serde::Serialize;
 use super::survey;
 use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
 use eddy_cli::terminal::{self, on_one_line};
-use eddy_evaluation::page::Table;
 use eddy_frames::{Stamp, date::Utc, decimal};
+use eddy_pages::Table;
 
 /// Prints files, topics and streams of a bag, as text or as JSON.
 pub fn run(path: &Path, json: bool, quiet: bool) -> anyhow::Result<()> {

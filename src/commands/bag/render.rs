@@ -10,11 +10,11 @@ use anyhow::bail;
 use super::find_streams;
 use crate::cli::{Color, RenderArgs};
 use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
-use eddy_evaluation::picture::{
-    Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
-};
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
 use eddy_frames::{Frame, Material};
+use eddy_pages::picture::{
+    Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
+};
 use eddy_settings::{atomic::Staged, usage::Usage};
 
 /// Longer side of the domain in a strip (pixels).

@@ -26,11 +26,8 @@ use super::{announce_page, eval::print_report, node::summary, surrogate};
 use crate::cli::DemoArgs;
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_cli::{Device, Interrupt, Output, OutputKind, TerminalProgress, unused};
-use eddy_evaluation::{
-    Settings,
-    dataset::{self, LoadOptions},
-    evaluate_model,
-};
+use eddy_dataset::LoadOptions;
+use eddy_evaluation::{Settings, evaluate_model};
 use eddy_frames::{Stamp, clock, decimal};
 use eddy_inference::checkpoint::Description;
 use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
@@ -245,9 +242,9 @@ fn report(
     quiet: bool,
     interrupt: &Interrupt,
 ) -> anyhow::Result<()> {
-    let memory = LoadOptions::within(dataset::available_memory() / 2);
+    let memory = LoadOptions::within(eddy_dataset::available_memory() / 2);
     let mut streams =
-        dataset::load_trajectories(&[bag.to_owned()], memory, &mut |_, _| ())?.streams;
+        eddy_dataset::load_trajectories(&[bag.to_owned()], memory, &mut |_, _| ())?.streams;
     let stiffness = node.settings().stiffness.map(|stiffness| stiffness as f32);
     streams.iter_mut().for_each(|stream| stream.stiffness = stiffness);
     let settings = Settings::errors_only(20, 10);

@@ -6,7 +6,8 @@ use anyhow::Context;
 
 use crate::cli::EvalArgs;
 use eddy_cli::{Output, OutputKind, terminal};
-use eddy_evaluation::{Comparison, Report, page::Provenance, short_names};
+use eddy_evaluation::{Comparison, Report, short_names};
+use eddy_pages::Provenance;
 
 /// Prints a comparison of reports, and writes it to `output` as HTML.
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {

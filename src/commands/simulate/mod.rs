@@ -1,7 +1,7 @@
 //! `eddy simulate`: ground truth as one bag per scene, as a live source, or both.
 //!
 //! 1. [`SceneArgs`](eddy_cli::SceneArgs): scenes from a preset and a seed, or from a file.
-//! 2. [`eddy_evaluation::dataset::simulate`]: missing scenes, in parallel, each into a bag.
+//! 2. [`eddy_dataset::simulate`]: missing scenes, in parallel, each into a bag.
 //! 3. [`publish`]: scenes one after the other in real time.
 
 mod publish;
@@ -10,7 +10,7 @@ use anyhow::bail;
 
 use crate::cli::SimulateArgs;
 use eddy_cli::{Interrupt, Output, OutputKind, TerminalProgress, with_usage};
-use eddy_evaluation::dataset::simulate::{Job, MOST_SCENES};
+use eddy_dataset::simulate::{Job, MOST_SCENES};
 use eddy_mpm::Accelerator;
 use eddy_storage::is_remote;
 

@@ -7,7 +7,7 @@ use crate::{
     commands::{leaves_the_process, wait_for_subscribers},
 };
 use eddy_cli::Interrupt;
-use eddy_evaluation::dataset::simulate::{Job, Recording, Store};
+use eddy_dataset::simulate::{Job, Recording, Store};
 use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
 use eddy_mpm::{MpmError, Simulation};

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use eddy_evaluation::dataset::{Dataset, LoadOptions, Stream, load_trajectories};
+use eddy_dataset::{Dataset, LoadOptions, Stream, load_trajectories};
 use eddy_inference::checkpoint::{Architecture, Core};
 
 use super::{load, run, small, stream, write_bag};
@@ -37,7 +37,7 @@ fn what_is_on_disk_teaches_the_bits_of_what_is_in_memory() {
     assert_eq!(held.normalization, stored.normalization);
     let options = LoadOptions::within(memory);
     let all = load_trajectories(&data, options, &mut |_, _| ()).unwrap().streams;
-    assert_eq!(held.digest, eddy_evaluation::dataset::digest(&all, |_| ()).unwrap());
+    assert_eq!(held.digest, eddy_dataset::digest(&all, |_| ()).unwrap());
 
     for architecture in [Architecture::Particle, Architecture::Frame] {
         let mut config = small(architecture, Core::MinGru);

@@ -18,7 +18,7 @@ use std::{
 };
 
 use eddy_bag::{BagWriter, Compression, WriterOptions};
-use eddy_evaluation::dataset::{Dataset, DatasetError, LoadOptions, Stream, Trajectory};
+use eddy_dataset::{Dataset, DatasetError, LoadOptions, Stream, Trajectory};
 use eddy_frames::{
     Domain, Material, Stamp, State,
     progress::{Progress, Silent},

@@ -2,7 +2,7 @@
 
 use std::{fs, num::NonZeroUsize, path::Path};
 
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_inference::engine::Surrogate;
 use eddy_learning::train::{OptimizerKind, Schedule, TrainConfig, UnrollStage, rollout_loss};

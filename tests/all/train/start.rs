@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use eddy_evaluation::dataset::{Dataset, Stream};
+use eddy_dataset::{Dataset, Stream};
 use eddy_frames::{Material, progress::Silent};
 use eddy_inference::checkpoint::{Architecture, Checkpoint, Core, WeightFormat};
 use eddy_learning::train::{Outcome, Run, TrainConfig, TrainError, train};

@@ -9,14 +9,10 @@ use super::{
     fit::{Observation, least_squares, logistic},
 };
 use crate::{
-    EvalError, EvaluationError, Settings,
-    dataset::{self, Trajectory},
-    measure::Flights,
-    model_rollout::roll_out_from_first,
-    rollout_threads,
-    selection::Selection,
-    task::RolloutTask,
+    EvalError, EvaluationError, Settings, measure::Flights, model_rollout::roll_out_from_first,
+    rollout_threads, selection::Selection, task::RolloutTask,
 };
+use eddy_dataset::Trajectory;
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     engine::Surrogate,
@@ -111,7 +107,7 @@ impl Calibration {
                 "at least 10 with rollouts that do not diverge and start after the first frame";
             return Err(EvaluationError::request("streams", usable, expected));
         }
-        let digest = dataset::digest(&streams, |_| ())?;
+        let digest = eddy_dataset::digest(&streams, |_| ())?;
         let rollouts = streams.iter().map(|stream| context.starts(stream.frames).len()).sum();
         let seen = streams.iter().map(Trajectory::fingerprint).collect::<Result<_, _>>()?;
         let model = ErrorModel {
@@ -243,7 +239,7 @@ mod tests {
     use tempfile::TempDir;
 
     use super::*;
-    use crate::test_streams::simulated;
+    use eddy_dataset::test_streams::simulated;
     use eddy_frames::progress::Silent;
     use eddy_inference::{
         checkpoint::Checkpoint,
@@ -253,7 +249,7 @@ mod tests {
 
     /// Scenes of few particles and 13 frames.
     fn truth(scenes: u32) -> (TempDir, Vec<Trajectory>) {
-        simulated(Extent::of(Preset::Kinds, 250).unwrap(), scenes)
+        simulated(Extent::of(Preset::Kinds, 250).unwrap(), scenes).unwrap()
     }
 
     fn shipped() -> Surrogate {

@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{numbers, page::Table};
+use crate::numbers;
 use eddy_inference::error_model::{CalibratedHorizon, LEVELS, UPPER_LEVEL, log_square};
+use eddy_pages::Table;
 
 use super::Sample;
 

@@ -1,6 +1,7 @@
 //! Features of predictions, and the errors that became known later.
 
-use crate::{Rollout, dataset::Stream};
+use crate::Rollout;
+use eddy_dataset::Stream;
 use eddy_frames::{Frame, FrameView, mean_squared_distance};
 use eddy_inference::{
     engine::Surrogate,

@@ -3,14 +3,14 @@ use std::fs;
 use tempfile::TempDir;
 
 use super::*;
-use crate::test_streams::simulated;
+use eddy_dataset::test_streams::simulated;
 use eddy_frames::progress::Silent;
 use eddy_inference::checkpoint::{Architecture, Core, Description, Sizes, initial_weights};
 use eddy_mpm::{Extent, Preset};
 
 /// Two streams of 13 frames.
 fn truth() -> (TempDir, Vec<Trajectory>) {
-    simulated(Extent::usual(Preset::Kinds), 2)
+    simulated(Extent::usual(Preset::Kinds), 2).unwrap()
 }
 
 /// A small network that is conditioned on the stiffness, with random weights.
@@ -28,7 +28,7 @@ fn conditioned() -> Checkpoint {
 #[test]
 fn a_conditioned_checkpoint_takes_the_stiffness_of_each_scene_or_the_one_that_is_given() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
-    let (_folder, mut streams) = simulated(extent, 2);
+    let (_folder, mut streams) = simulated(extent, 2).unwrap();
     let request = |streams: &[Trajectory], stiffness| EvaluationRequest {
         checkpoints: vec![
             ("conditioned".to_owned(), conditioned()),

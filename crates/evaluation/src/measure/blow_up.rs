@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::bulk::kinetic_energy;
-use crate::{Context, Rollout, dataset::Stream};
+use crate::{Context, Rollout};
+use eddy_dataset::Stream;
 use eddy_frames::{State, mean_squared_distance};
 use eddy_inference::engine::Baseline;
 

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 
 use super::{Mean, bulk::mean};
-use crate::{dataset::Stream, errors::square};
+use crate::errors::square;
+use eddy_dataset::Stream;
 use eddy_frames::State;
 use eddy_inference::engine::Ballistic;
 

@@ -17,7 +17,7 @@ mod settled;
 mod stretch;
 
 use super::{Context, Rollout, errors::square};
-use crate::dataset::Stream;
+use eddy_dataset::Stream;
 use eddy_frames::{Material, State, mean_squared_distance};
 
 pub use blow_up::BlowUps;

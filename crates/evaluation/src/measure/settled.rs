@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{area, bulk};
 use crate::{
-    Context, EvalError, Predictor, Rollout, dataset::Stream, errors::square, measure::Flights,
-    numbers, predictor::RolloutOutcome, task::RolloutTask,
+    Context, EvalError, Predictor, Rollout, errors::square, measure::Flights, numbers,
+    predictor::RolloutOutcome, task::RolloutTask,
 };
+use eddy_dataset::Stream;
 use eddy_frames::{State, mean_squared_distance};
 
 /// The frame that the rollout starts from: the last one of the scenes of `eddy simulate --preset kinds`, unless they are longer.

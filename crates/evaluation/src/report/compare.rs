@@ -8,8 +8,8 @@ use super::{
 use crate::{
     Interval,
     bootstrap::{MIN_SCENES, bootstrap},
-    page::{Axis, Cell, LinePlot, Page, Provenance, Series, Table},
 };
+use eddy_pages::{Axis, Cell, LinePlot, Page, Provenance, Series, Table};
 
 /// Frames ahead with error ratios: errors by scene end at the paper's twentieth frame.
 const RATIO_FRAMES: [usize; 3] = [1, 10, 20];

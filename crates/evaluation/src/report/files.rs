@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{Entry, Report, curves::Curves, curves::StepCurves};
-use crate::picture::write_png;
+use eddy_pages::picture::write_png;
 use eddy_settings::atomic;
 
 pub(super) const JSON: &str = "report.json";

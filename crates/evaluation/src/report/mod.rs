@@ -26,7 +26,7 @@ pub use entry::{Entry, Origin, PredictorInfo, Role};
 pub use read::ReportError;
 
 use super::{Context, Cost, Kind, SHOWN_FRAMES, SceneResult, Skills, Snapshot, Units};
-use crate::page::Provenance;
+use eddy_pages::Provenance;
 use group::Group;
 use read::FORMAT;
 pub use scenes::{SCENE_FRAMES, SceneEntry};

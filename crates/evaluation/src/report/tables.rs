@@ -4,7 +4,8 @@ use super::{
     Report,
     page::{at, milliseconds},
 };
-use crate::{page::Table, skill_text};
+use crate::skill_text;
+use eddy_pages::Table;
 
 impl Report {
     /// The skill of all predictors, their blow-ups and the remarks, in lines of at most `columns` characters.

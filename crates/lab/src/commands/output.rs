@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use serde::Serialize;
 
-use eddy_evaluation::page::{LinePlot, Page, Provenance, Table};
+use eddy_pages::{LinePlot, Page, Provenance, Table};
 
 /// Width of tables (characters): that of a terminal that nobody has widened, and of a log.
 pub(super) const COLUMNS: usize = 80;

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::plans::LongJob;
 use eddy_cli::{Device, keep_freed_memory, with_usage};
-use eddy_evaluation::dataset::simulate::MOST_SCENES;
+use eddy_dataset::simulate::MOST_SCENES;
 use eddy_frames::progress::Progress;
 use eddy_learning::model::DeviceKind;
 use eddy_plan::{Array, Job as _, OpenPlan, Plan, Task, TaskState};

@@ -12,13 +12,11 @@ use crate::bench::{
     solver::{CASES, COMPARED, Case, Timing},
 };
 use eddy_bag::{BagWriter, WriterOptions};
-use eddy_evaluation::{
-    dataset::TRUTH_TOPIC,
-    page::{Axis, LinePlot, Series},
-};
+use eddy_dataset::TRUTH_TOPIC;
 use eddy_frames::progress::Progress;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::{GRAVITY, Law, Materials};
+use eddy_pages::{Axis, LinePlot, Series};
 use eddy_settings::{ensure_usage, usage::Usage};
 
 /// JSON output.

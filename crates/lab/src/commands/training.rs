@@ -10,12 +10,12 @@ use super::{BenchOutput, table};
 use crate::bench::training::{
     FRAMES, PAPER_SAMPLES, PYTORCH_CORES, Timing, milliseconds, paper_steps, products,
 };
-use eddy_evaluation::page::{Axis, LinePlot, Series, Table};
 use eddy_frames::progress::Progress;
 use eddy_learning::{
     model::{Core, GpuOptions},
     train::step_benchmark::{GPU_CORE_PARTICLES, PARTICLES, Part},
 };
+use eddy_pages::{Axis, LinePlot, Series, Table};
 use eddy_settings::ensure_usage;
 
 /// JSON output.

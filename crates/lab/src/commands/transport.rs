@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::args::BenchTransportArgs;
 use super::{BenchOutput, table};
 use crate::bench::transport::{Timing, Way, time};
-use eddy_evaluation::page::{Axis, LinePlot, Series};
 use eddy_frames::progress::Progress;
+use eddy_pages::{Axis, LinePlot, Series};
 use eddy_settings::ensure_usage;
 
 /// JSON output.

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "cuda")]
 use eddy_cuda::kernels::Program;
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_inference::checkpoint::Activation;
 use eddy_learning::{
     model::{DeviceKind, GpuOptions},
@@ -232,7 +232,7 @@ fn initial_weights(
 mod tests {
     use super::*;
     use eddy_cuda_emulator::Emulator;
-    use eddy_evaluation::dataset::{Stream, Trajectory};
+    use eddy_dataset::{Stream, Trajectory};
     use eddy_frames::{Domain, Material, Stamp, State};
     use eddy_inference::checkpoint::Normalization;
 

@@ -3,7 +3,7 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-use eddy_evaluation::dataset::Trajectory;
+use eddy_dataset::Trajectory;
 use eddy_frames::State;
 use eddy_inference::checkpoint::Normalization;
 use eddy_learning::train::TrainError;

@@ -1,7 +1,7 @@
 //! Estimated costs of tasks, from measured rates. A batch system needs them for its limits; what a task took is recorded when it
 //! is done.
 
-use eddy_evaluation::dataset::simulate::Planned;
+use eddy_dataset::simulate::Planned;
 use eddy_learning::train::{TrainConfig, step_benchmark::PARTICLES};
 use eddy_mpm::MpmError;
 use eddy_plan::Cost;

@@ -12,7 +12,7 @@ mod tests;
 
 use std::path::{Path, PathBuf};
 
-use eddy_evaluation::dataset::simulate::{SimulationRequest, collect, simulate_some};
+use eddy_dataset::simulate::{SimulationRequest, collect, simulate_some};
 use eddy_frames::progress::Progress;
 use eddy_learning::model::DeviceKind;
 use eddy_mpm::Accelerator;
@@ -59,7 +59,7 @@ impl LongJob {
     /// The plan of a simulation into `output`, with `per_task` scenes per task.
     ///
     /// # Errors
-    /// As [`eddy_evaluation::dataset::simulate::Job::plan`].
+    /// As [`eddy_dataset::simulate::Job::plan`].
     pub fn simulate(
         request: &SimulationRequest,
         output: &Path,

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::ensure;
 use clap::ValueEnum as _;
-use eddy_evaluation::dataset::simulate::{Job, Planned, SimulationRequest, Source};
+use eddy_dataset::simulate::{Job, Planned, SimulationRequest, Source};
 use eddy_learning::model::DeviceKind;
 use eddy_mpm::{Extent, ExtentOptions, Preset, Scene, Settings};
 use eddy_plan::Task;

@@ -7,7 +7,8 @@ use std::{
 };
 
 use anyhow::Context as _;
-use eddy_evaluation::{Report, dataset::simulate::SimulationRequest};
+use eddy_dataset::simulate::SimulationRequest;
+use eddy_evaluation::Report;
 use eddy_frames::progress::Progress;
 use eddy_learning::model::{DeviceKind, Precision};
 use eddy_plan::Task;

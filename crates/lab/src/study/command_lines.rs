@@ -4,9 +4,9 @@
 use std::path::Path;
 
 use super::{Comparison, DataSet, Folders, SceneChoice, StudyConfig, Variant, plan::runs};
-use eddy_evaluation::page::command_line;
 use eddy_learning::model::{DeviceKind, Precision};
 use eddy_mpm::ParticleOrder;
+use eddy_pages::command_line;
 
 /// Builds command lines.
 pub(super) struct CommandLines<'a> {

@@ -4,11 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Comparison;
 use crate::{bench::training::FRAMES, dense::DenseConfig};
-use eddy_evaluation::{
-    SCENE_FRAMES,
-    bootstrap::MIN_SCENES,
-    dataset::simulate::{SimulationRequest, Source},
-};
+use eddy_dataset::simulate::{SimulationRequest, Source};
+use eddy_evaluation::{SCENE_FRAMES, bootstrap::MIN_SCENES};
 use eddy_inference::checkpoint::{Activation, Architecture, Core, FrameOutput};
 use eddy_learning::train::{Observed, TrainConfig};
 use eddy_mpm::{Extent, ParticleOrder, Preset, Settings};

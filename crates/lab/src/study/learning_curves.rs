@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::{Curve, ResultError, run::Work};
 use crate::dense;
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_inference::checkpoint::Activation;
 use eddy_learning::model::DeviceKind;
 

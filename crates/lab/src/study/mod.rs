@@ -4,7 +4,7 @@
 //! 2. [`plan`](Comparison): the networks of each comparison, and the folders of a study.
 //! 3. [`results`](Trained): results of trainings and learning curves, saved so that a study can be resumed.
 //! 4. [`networks`](Networks), [`page`](StudyReport): tables and plots.
-//! 5. [`run()`]: a whole comparison: scenes ([`eddy_evaluation::dataset::simulate`]), networks (`training`)
+//! 5. [`run()`]: a whole comparison: scenes ([`eddy_dataset::simulate`]), networks (`training`)
 //!    or `learning_curves`, evaluation ([`eddy_evaluation`]), `step_times`, and the files of the report (`write`).
 //! 6. [`parts`](Part): the parts of a comparison, for plans whose tasks run on several machines.
 //! 7. `command_lines`: the equivalent commands, step by step.

@@ -4,9 +4,9 @@ use super::{Comparison, Trained, Variant};
 use eddy_evaluation::{
     Entry, Interval, Report, Role,
     bootstrap::{MIN_SCENES, bootstrap},
-    page::{Axis, Cell, LinePlot, Series, Table},
 };
 use eddy_inference::checkpoint::Core;
+use eddy_pages::{Axis, Cell, LinePlot, Series, Table};
 
 /// Networks on one preset: every variant with every seed, evaluated on the same scenes.
 pub struct Networks<'a> {

@@ -5,9 +5,9 @@ use super::{
     networks::{mean, scientific, spread},
 };
 use crate::bench::training::{CORES, Timing, milliseconds};
-use eddy_evaluation::page::{Axis, LinePlot, Page, Provenance, Table};
 use eddy_inference::checkpoint::{Activation, Core};
 use eddy_learning::train::step_benchmark::{GPU_CORE_PARTICLES, Part};
+use eddy_pages::{Axis, LinePlot, Page, Provenance, Table};
 
 /// Builds the report of a study.
 pub struct StudyReport {

@@ -11,12 +11,12 @@ use crate::{
     bench::training::Timing,
     dense::{DenseConfig, DenseCurve},
 };
-use eddy_evaluation::page::Machine;
 use eddy_inference::checkpoint::Activation;
 use eddy_learning::{
     model::DeviceKind,
     train::{Epoch, TrainConfig},
 };
+use eddy_pages::Machine;
 use eddy_settings::atomic;
 
 /// A trained network.

@@ -22,14 +22,11 @@ use super::{
 };
 #[cfg(feature = "cuda")]
 use eddy_cuda::{load_surrogate, open_solver};
-use eddy_evaluation::{
-    Evaluation, EvaluationRequest, Report, Role, Settings,
-    dataset::{
-        self, Dataset, DatasetError, LoadOptions,
-        simulate::{SimulationRequest, simulate},
-    },
-    page::{Table, command_line},
+use eddy_dataset::{
+    Dataset, DatasetError, LoadOptions,
+    simulate::{SimulationRequest, simulate},
 };
+use eddy_evaluation::{Evaluation, EvaluationRequest, Report, Role, Settings};
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     checkpoint::Checkpoint,
@@ -40,6 +37,7 @@ use eddy_learning::{
     train::TrainConfig,
 };
 use eddy_mpm::Accelerator;
+use eddy_pages::{Table, command_line};
 
 /// A comparison to run.
 #[derive(Clone, Debug)]
@@ -231,7 +229,7 @@ impl<'a> Work<'a> {
 
     /// The scenes of a data set.
     pub(super) fn load_data(&self, set: &str) -> Result<Dataset, DatasetError> {
-        let memory = LoadOptions::within(dataset::available_memory() / 2);
+        let memory = LoadOptions::within(eddy_dataset::available_memory() / 2);
         Dataset::load(&[self.folders.data(set)], memory, &mut |_, _| ())
     }
 
@@ -280,12 +278,12 @@ impl<'a> Work<'a> {
         let checkpoints = self.runs().map(load).collect::<anyhow::Result<_>>()?;
         let test_set = self.comparison.test_set(self.study, set);
         let data = self.folders.data(&test_set.as_ref().unwrap_or(set).name);
-        let memory = LoadOptions::within(dataset::available_memory() / 2);
+        let memory = LoadOptions::within(eddy_dataset::available_memory() / 2);
         let evaluation = &self.study.evaluation;
         Ok(EvaluationRequest {
             recorded: Vec::new(),
             checkpoints,
-            streams: dataset::load_trajectories(&[data], memory, &mut |_, _| ())?.streams,
+            streams: eddy_dataset::load_trajectories(&[data], memory, &mut |_, _| ())?.streams,
             stiffness: None,
             // The study's tables need nothing else, and rollouts to detect blow-ups would take ten times as long.
             settings: Settings::errors_only(evaluation.horizon, evaluation.starts),

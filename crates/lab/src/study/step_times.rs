@@ -2,7 +2,7 @@
 
 use super::{Speed, run::Work};
 use crate::bench::training::{FRAMES, paper_steps};
-use eddy_evaluation::page::Machine;
+use eddy_pages::Machine;
 
 /// Windows per batch.
 const WINDOWS: usize = 16;

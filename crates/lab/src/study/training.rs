@@ -13,16 +13,14 @@ use super::{
     Losses, Trained, Variant,
     run::{Work, load, write_settings},
 };
-use eddy_evaluation::{
-    dataset::{Dataset, available_memory},
-    page::command_line,
-};
+use eddy_dataset::{Dataset, available_memory};
 use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::{checkpoint::Description, engine::Surrogate};
 use eddy_learning::{
     model::DeviceKind,
     train::{Epoch, LAST_FOLDER, Machine, Run, TrainConfig, linear_fit_loss, rollout_loss, train},
 };
+use eddy_pages::command_line;
 
 /// A network with one seed.
 struct Task {

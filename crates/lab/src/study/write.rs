@@ -9,7 +9,8 @@ use super::{
     command_lines::shown,
     run::{StudyOutcome, Work, write_settings},
 };
-use eddy_evaluation::{Report, page::Provenance};
+use eddy_evaluation::Report;
+use eddy_pages::Provenance;
 
 /// Both files in the folder of a comparison; the page is written last.
 pub(crate) fn files(folder: &Path) -> [PathBuf; 2] {

@@ -26,7 +26,7 @@ use eddy_cuda::{
     open_gpu, open_group,
     training::{Batch, GROUP, InTraining, Outcome},
 };
-use eddy_evaluation::dataset::Trajectory;
+use eddy_dataset::Trajectory;
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},

@@ -25,7 +25,7 @@ use eddy_cuda::{
     training::InTraining as _,
 };
 use eddy_cuda_emulator::Emulator;
-use eddy_evaluation::dataset::{Stream, Trajectory};
+use eddy_dataset::{Stream, Trajectory};
 use eddy_frames::{Domain, Material, Stamp, State};
 use eddy_inference::{
     checkpoint::{

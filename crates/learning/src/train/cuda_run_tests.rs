@@ -19,7 +19,7 @@ use super::{
 use crate::model::{Core, DeviceKind, GpuOptions};
 use eddy_cuda::{device::Device, frame::Place, kernels::Constants};
 use eddy_cuda_emulator::Emulator;
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_frames::progress::{Progress, Silent};
 use eddy_inference::checkpoint::Description;
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::TrainConfig;
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_frames::decimal;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description, JELLY_MODULUS, Rules},

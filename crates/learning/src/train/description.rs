@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::{TrainConfig, TrainError, config::setting, record::different_setting};
-use eddy_evaluation::{LinearFit, dataset::Dataset};
+use eddy_dataset::Dataset;
+use eddy_evaluation::LinearFit;
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
     Architecture, Checkpoint, Description, ElasticRule, FORMAT_VERSION, Rules, TrainingSummary,

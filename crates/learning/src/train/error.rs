@@ -4,7 +4,8 @@ use std::{io, path::PathBuf};
 
 use indicatif::HumanBytes;
 
-use eddy_evaluation::{EvalError, dataset::DatasetError};
+use eddy_dataset::DatasetError;
+use eddy_evaluation::EvalError;
 use eddy_inference::{checkpoint::CheckpointError, engine::ModelError};
 
 /// What nothing does in streams where a feature is the same for all particles in all frames.

@@ -273,7 +273,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
         training::InTraining as _,
     };
     use eddy_cuda_emulator::Emulator;
-    use eddy_evaluation::dataset::{Stream, Trajectory};
+    use eddy_dataset::{Stream, Trajectory};
     use eddy_frames::Stamp;
 
     let frame_models =

@@ -75,7 +75,7 @@ pub use validate::{linear_fit_loss, rollout_loss, test_skill};
 use std::{path::Path, time::Duration};
 
 use crate::model::{DeviceKind, GpuOptions};
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_frames::{clock::Clock, progress::Progress};
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::model::{DeviceKind, GpuOptions, dropout::Dropout, network::Network};
 #[cfg(feature = "cuda")]
-use eddy_evaluation::dataset::Trajectory;
+use eddy_dataset::Trajectory;
 use eddy_frames::{Domain, Material, State};
 use eddy_inference::{
     checkpoint::{Architecture, Core, Description, MaterialInput, Weights, initial_weights},
@@ -241,7 +241,7 @@ mod cuda {
         state::RunState, steps::Step, window::Sampler,
     };
     use crate::model::{DeviceKind, network::Network};
-    use eddy_evaluation::dataset::{Stream, Trajectory};
+    use eddy_dataset::{Stream, Trajectory};
     use eddy_frames::{Domain, Material, Stamp, State};
     use eddy_inference::{
         checkpoint::{Architecture, Description},

@@ -14,7 +14,7 @@ use super::{
 };
 #[cfg(feature = "cuda")]
 use crate::model::DeviceKind;
-use eddy_evaluation::dataset::Dataset;
+use eddy_dataset::Dataset;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::Surrogate,

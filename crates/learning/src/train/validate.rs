@@ -5,9 +5,9 @@ use std::num::NonZeroUsize;
 use rayon::{ThreadPoolBuilder, prelude::*};
 
 use super::{Observed, TrainError, ValidationConfig};
+use eddy_dataset::{Bounds, Dataset, Trajectory};
 use eddy_evaluation::{
     Context, DEFAULT_STARTS, EvalError, LinearFit, Predictor, SceneResult, Settings, Skills,
-    dataset::{Bounds, Dataset, Trajectory},
     evaluate_scene, rollout_threads, starts,
 };
 use eddy_inference::engine::Baseline;

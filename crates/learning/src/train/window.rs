@@ -6,7 +6,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::{NoiseConfig, TrainError, WindowConfig};
-use eddy_evaluation::dataset::Trajectory;
+use eddy_dataset::Trajectory;
 use eddy_frames::{Material, State};
 
 /// A piece of a stream: all particles over consecutive frames.
@@ -261,7 +261,7 @@ mod tests {
 
     use super::*;
     use crate::train::TrainConfig;
-    use eddy_evaluation::dataset::Stream;
+    use eddy_dataset::Stream;
     use eddy_frames::{Domain, Stamp};
     use eddy_inference::checkpoint::Architecture;
 

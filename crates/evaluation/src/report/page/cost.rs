@@ -1,10 +1,8 @@
 //! Time per frame.
 
 use super::{Report, Role, at, milliseconds};
-use crate::{
-    KindCost,
-    page::{Axis, LinePlot, Section, Series, Table},
-};
+use crate::KindCost;
+use eddy_pages::{Axis, LinePlot, Section, Series, Table};
 
 /// The frame ahead at which errors are compared.
 const AHEAD: usize = 20;

@@ -1,7 +1,7 @@
 //! Errors over the frames ahead.
 
 use super::{Entry, Report, Role, error, error_axis, frames_ahead};
-use crate::page::{LinePlot, Section, Series, Table};
+use eddy_pages::{LinePlot, Section, Series, Table};
 
 /// An error curve: name with unit, and accessor.
 type Curve = (&'static str, fn(&Entry) -> &Vec<f64>);

@@ -1,7 +1,7 @@
 //! Results by kind of scene and by material.
 
 use super::{Entry, Report, Role, at, between, error, skill};
-use crate::page::{Section, Table};
+use eddy_pages::{Section, Table};
 
 /// The frames ahead at which kinds are shown side by side.
 const BY_KIND: [usize; 3] = [1, 20, 100];

@@ -25,11 +25,9 @@ mod summary;
 use std::io;
 
 use super::{Entry, Report, Role};
-use crate::{
-    Interval,
-    page::{Axis, Page, Series, Table},
-};
+use crate::Interval;
 use eddy_frames::counted;
+use eddy_pages::{Axis, Page, Series, Table};
 
 /// The horizontal axis of most plots.
 const AHEAD: &str = "frames ahead";

@@ -7,10 +7,8 @@ use super::{
     },
     Report, error, error_axis, frames_ahead,
 };
-use crate::{
-    Kind,
-    page::{Cell, LinePlot, Section, Series, Table},
-};
+use crate::Kind;
+use eddy_pages::{Cell, LinePlot, Section, Series, Table};
 
 /// Maximum number of scenes in a table and in a set of plots; `report.json` has all.
 const TABLE_SCENES: usize = 12;

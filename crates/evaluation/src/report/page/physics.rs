@@ -4,7 +4,7 @@ use super::{
     super::{curves::BulkCurves, measures::Measures},
     Entry, Report, error, error_axis, frames_ahead, percent, ratio,
 };
-use crate::page::{Axis, LinePlot, Section, Series, Table};
+use eddy_pages::{Axis, LinePlot, Section, Series, Table};
 
 /// A measure: name with unit, accessor, format.
 type Column = (&'static str, fn(&Measures) -> f64, fn(f64) -> String);

@@ -3,12 +3,12 @@
 use std::io;
 
 use super::{super::scenes::joined, Report};
-use crate::{
-    Snapshot,
-    page::{Picture, PictureGrid, Section},
+use crate::Snapshot;
+use eddy_frames::Frame;
+use eddy_pages::{
+    Picture, PictureGrid, Section,
     picture::{Coloring, Painter, png_bytes},
 };
-use eddy_frames::Frame;
 
 /// Longer side of the domain (pixels); shown at half this size.
 const SIZE: usize = 260;

@@ -1,11 +1,9 @@
 //! How well estimates of errors hold.
 
 use super::{Entry, Report};
-use crate::{
-    Reliability,
-    page::{Axis, LinePlot, Section, Series, Table},
-};
+use crate::Reliability;
 use eddy_inference::error_model::LEVELS;
+use eddy_pages::{Axis, LinePlot, Section, Series, Table};
 
 impl Report {
     pub(super) fn reliability(&self, section: &mut Section) {

@@ -1,8 +1,8 @@
 //! Command, data and settings of the evaluation.
 
 use super::{Report, rounded};
-use crate::page::Section;
 use eddy_frames::counted;
+use eddy_pages::Section;
 
 impl Report {
     pub(super) fn reproduce(&self, section: &mut Section) {

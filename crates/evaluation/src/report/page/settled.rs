@@ -1,10 +1,8 @@
 //! Settled and slow states: long rollouts from a late frame.
 
 use super::{super::scenes::SceneEntry, Report, Role, error, percent, ratio};
-use crate::{
-    Kind, SETTLED_AVERAGED, SETTLED_FRAMES, SETTLED_START, Settled, SettledState,
-    page::{Section, Table},
-};
+use crate::{Kind, SETTLED_AVERAGED, SETTLED_FRAMES, SETTLED_START, Settled, SettledState};
+use eddy_pages::{Section, Table};
 
 /// Mean speed of the truth above which a predictor's is compared with it (domain lengths per second).
 const MOVING: f64 = 0.02;

@@ -4,11 +4,9 @@ use super::{
     super::group::{Gain, GroupSkill},
     Report, Role, between, frames_ahead, milliseconds, skill,
 };
-use crate::{
-    BlowUps,
-    page::{Axis, LinePlot, Section, Series, Table},
-};
+use crate::BlowUps;
 use eddy_frames::counted;
+use eddy_pages::{Axis, LinePlot, Section, Series, Table};
 
 impl Report {
     pub(super) fn summary(&self, section: &mut Section) {

@@ -11,7 +11,7 @@ use eddy_cuda::{
     particle,
     training::{InTraining, Settings},
 };
-use eddy_evaluation::dataset::Trajectory;
+use eddy_dataset::Trajectory;
 use eddy_inference::{
     checkpoint::{Architecture, Checkpoint, Description, WeightFormat},
     engine::{Accelerator, Surrogate, scales::stiffness_feature},

@@ -1,4 +1,4 @@
-//! Self-contained HTML pages, for the reports of `eval`, `bench` and `study`.
+//! Self-contained HTML pages, for the reports of `eval`, `bench` and `study`, and pictures of particle frames.
 //!
 //! 1. `document`: a page of sections, each with paragraphs, tables, plots and pictures.
 //! 2. `table`: rows of numbers under a caption. `text`: the same for a terminal.
@@ -7,6 +7,7 @@
 //! 5. `style`: colours, dashes and marks, distinguishable in print and by colour-blind readers.
 //! 6. `grid`: pictures in rows and columns.
 //! 7. `provenance`: command, version, machine and date.
+//! 8. [`picture`]: frames and plots as PNG, GIF and MP4.
 //!
 //! A page has no external resources. Its script adds values under the pointer and sortable tables; everything can be read
 //! without it, and in print. All text is escaped.
@@ -14,6 +15,7 @@
 mod document;
 mod grid;
 mod hover;
+pub mod picture;
 mod plot;
 mod provenance;
 mod scale;
@@ -27,3 +29,8 @@ pub use plot::{LinePlot, Series};
 pub use provenance::{Machine, Provenance, command_line};
 pub use scale::{Axis, Scale};
 pub use table::{Cell, Table};
+
+/// The example of the README, which a test runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

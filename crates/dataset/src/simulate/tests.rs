@@ -11,7 +11,7 @@ use std::{
 use tempfile::TempDir;
 
 use super::*;
-use crate::dataset::TRUTH_TOPIC;
+use crate::TRUTH_TOPIC;
 use eddy_bag::BagReader;
 use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;

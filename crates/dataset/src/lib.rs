@@ -8,6 +8,7 @@
 //! 6. [`simulate`]: simulated scenes as a data set: one bag each, in a folder that can be resumed.
 //! 7. [`quantities`]: the sources of a stream's stiffness and gravity.
 //! 8. [`memory`]: available memory.
+//! 9. [`test_streams`]: small data sets for tests.
 //!
 //! Results computed from a data set are bit-identical whether its frames are in memory or on disk.
 
@@ -19,6 +20,7 @@ pub mod simulate;
 mod split;
 mod statistics;
 mod stream;
+pub mod test_streams;
 #[cfg(test)]
 mod tests;
 mod trajectory;
@@ -293,3 +295,8 @@ fn add_to_digest(hasher: &mut Sha256, state: &State) {
 fn hex(hasher: Sha256) -> String {
     format!("{:x}", hasher.finalize())
 }
+
+/// The example of the README, which a test runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -51,7 +51,7 @@ fn restate_stiffness(bag: &Path, with: &str) {
 #[test]
 fn a_stream_has_the_stiffness_that_the_metadata_of_its_bag_says() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
-    let (folder, streams) = simulated(extent, 2);
+    let (folder, streams) = simulated(extent, 2).unwrap();
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
     let load = || {
         let options = LoadOptions::within(u64::MAX);
@@ -79,7 +79,7 @@ fn a_stream_has_the_stiffness_that_the_metadata_of_its_bag_says() {
 #[test]
 fn a_stream_has_the_stiffness_of_its_scene_in_the_manifest_beside_its_bag() {
     let extent = Extent::usual(Preset::Kinds).with_stiffness([300.0, 3e5]).unwrap();
-    let (folder, streams) = simulated(extent, 2);
+    let (folder, streams) = simulated(extent, 2).unwrap();
     let scenes = simulate::recorded_scenes(folder.path()).unwrap().unwrap();
     // As an older version has left them.
     streams.iter().for_each(|stream| restate_stiffness(&stream.source, "run: seven"));

@@ -278,7 +278,10 @@ pub struct ScenesBeside(HashMap<PathBuf, BTreeMap<u64, Scene>>);
 
 impl ScenesBeside {
     /// The scene that a stream of a bag was simulated from; `None` without a manifest that has it.
-    pub(crate) fn of(&mut self, bag: &Path, stream: u64) -> Result<Option<&Scene>, SimulateError> {
+    ///
+    /// # Errors
+    /// A manifest that cannot be read.
+    pub fn of(&mut self, bag: &Path, stream: u64) -> Result<Option<&Scene>, SimulateError> {
         let folder = bag.parent().unwrap_or(bag);
         if !self.0.contains_key(folder) {
             let found = recorded_scenes(folder)?.unwrap_or_default();

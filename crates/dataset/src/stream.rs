@@ -28,7 +28,8 @@ pub struct Stream {
 }
 
 impl Stream {
-    pub(crate) fn begin(source: &Path, frame: Frame) -> Self {
+    /// A stream of one frame.
+    pub fn begin(source: &Path, frame: Frame) -> Self {
         Self {
             id: frame.stream,
             source: source.to_owned(),

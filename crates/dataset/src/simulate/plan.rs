@@ -9,7 +9,7 @@ use super::{
     SimulateError, SimulationRequest, UPLOADED_LAST, directory,
     manifest::{Finished, Manifest, Start},
 };
-use crate::dataset::{TRUTH_TOPIC, available_memory};
+use crate::{TRUTH_TOPIC, available_memory};
 use eddy_bag::BagReader;
 use eddy_frames::counted;
 use eddy_messages::{Message, ParticleFrame};

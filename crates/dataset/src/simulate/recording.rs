@@ -12,7 +12,7 @@ use super::{
     manifest::{EnergyCurve, Finished, Manifest, RecordedRequest, Start, of_scene},
     staging::Staging,
 };
-use crate::dataset::{FIELDS_TOPIC, TRUTH_TOPIC};
+use crate::{FIELDS_TOPIC, TRUTH_TOPIC};
 use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions, custom_data::Quantity};
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};

@@ -3,7 +3,7 @@
 //! 1. `palette`: colours of materials and of speeds.
 //! 2. `canvas`: raster images: antialiased discs, rectangles, text.
 //! 3. `panel`: a frame with its time and a legend.
-//! 4. `backend`: plots of [`page`](crate::page) on a canvas.
+//! 4. `backend`: plots of pages on a canvas.
 //! 5. `file`: PNG files and animations. `video`: MP4, written by ffmpeg.
 //! 6. `quantize`: the 256 colours of a GIF.
 //! 7. `sampling`: which frames a strip or an animation shows.

@@ -139,7 +139,7 @@ impl LinePlot {
 
     /// The plot as an image, with its title and the names of the series beside their last points; `None` if no point
     /// can be shown.
-    pub(crate) fn canvas(&self) -> Option<Canvas> {
+    pub fn canvas(&self) -> Option<Canvas> {
         let ends = self.ends()?;
         let mut canvas = Canvas::new(SIZE.0 as usize, SIZE.1 as usize);
         let Drawn { last, .. } = self.draw(CanvasBackend(&mut canvas), ends, IMAGE_MARGINS).ok()?;
