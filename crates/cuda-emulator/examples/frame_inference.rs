@@ -79,7 +79,11 @@ fn step(
 }
 
 fn check() -> Result<()> {
-    let maxima = [(Core::MinGru, Pooling::MeanMax), (Core::Lstm, Pooling::Max)];
+    let maxima = [
+        (Core::MinGru, Pooling::MeanMax),
+        (Core::Gru, Pooling::MeanMax),
+        (Core::Lstm, Pooling::Max),
+    ];
     for (core, pooling) in Core::ALL.map(|core| (core, Pooling::Mean)).into_iter().chain(maxima) {
         let [gpu, cpu] = surrogates(core, pooling)?;
         let streams: Vec<_> = (0..64).map(|stream| frames(stream, 4)).collect();

@@ -107,6 +107,13 @@ fn a_stream_has_the_same_bits_alone_and_beside_others() {
     for core in Core::ALL {
         have_the_same_bits_alone_and_beside_others(&emulated(&small(core)), &streams);
     }
+    for core in [Core::Gru, Core::Lstm] {
+        // The products with the input of the first layer have more parts than those with its last outputs.
+        let sizes = Sizes { encoder: 20, hidden: 40, layers: 2, particles: Some(70) };
+        let mut wide = description(Architecture::Frame, core, sizes);
+        wide.frame.pooling = Pooling::MeanMax;
+        have_the_same_bits_alone_and_beside_others(&emulated(&checkpoint(wide, 3)), &streams);
+    }
 }
 
 #[test]

@@ -359,9 +359,10 @@ impl Inference {
         let [parts, recurrent_parts] = &self.parts;
         let before = self.before.address().plus(layer * rows * wide);
         let count = self.product(matrix, input, parts, rows)?;
-        if let Some(recurrent) = recurrent {
-            self.product(recurrent, before, recurrent_parts, rows)?;
-        }
+        let recurrent_count = match recurrent {
+            Some(recurrent) => self.product(recurrent, before, recurrent_parts, rows)?,
+            None => 0,
+        };
         self.launch(
             Kernel::CellsStreams,
             self.units(rows),
@@ -372,6 +373,7 @@ impl Inference {
                 self.rows.address().into(),
                 signal.into(),
                 count.into(),
+                recurrent_count.into(),
                 layer.into(),
                 self.layout.core.len().into(),
             ],

@@ -126,10 +126,6 @@ __device__ __forceinline__ float product_sum(const float* parts, int count, int 
 
 // What follows a product, from its `count` parts: a thread has a unit of a row, grid (ceil(HP / 128), B), block 128.
 // `signal` [B, HP] goes on to the next product.
-#define STREAM_UNIT                                                     \
-  const int j = blockIdx.x * blockDim.x + threadIdx.x, b = blockIdx.y, batch = gridDim.y; \
-  if (j >= HP) return;                                                  \
-  const size_t at = (size_t)b * HP + j;
 
 // A linear layer, or one with the activation after it.
 // Rows of the signal are `stride` apart.
@@ -139,17 +135,20 @@ extern "C" __global__ void linear_streams(const float* __restrict__ parts, float
   const float y = product_sum(parts, count, batch, b, HP, j);
   signal[(size_t)b * stride + j] = padded(j, active ? activate(y) : y);
 }
-// Layer `layer` of `layers` of a core, from the parts of the products with its input and, of a recurrent core, with its last outputs.
+// Layer `layer` of `layers` of a core, from the parts of the products with its input and, if it has recurrent
+// weights, with its last outputs.
 // `before` are [B, HP], the outputs before the frame; the new state goes to the streams.
 extern "C" __global__ void cells_streams(const float* __restrict__ parts, const float* __restrict__ recurrent, const float* __restrict__ before,
-    const Row* __restrict__ rows, float* __restrict__ signal, int count, int layer, int layers) {
-  STREAM_UNIT
+    const Row* __restrict__ rows, float* __restrict__ signal, int count, int recurrent_count, int layer, int layers) {
+  const int j = blockIdx.x * blockDim.x + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
+  if (j >= HP) return;
+  const size_t at = (size_t)b * HP + j;
   float sums[GATE_SUMS], state[STATES];
 #pragma unroll
   for (int gate = 0; gate < GATES; gate++) {
     sums[gate] = product_sum(parts, count, batch, b, GATES * HP, gate * HP + j);
 #if RECURRENT
-    const float product = product_sum(recurrent, count, batch, b, GATES * HP, gate * HP + j);
+    const float product = product_sum(recurrent, recurrent_count, batch, b, GATES * HP, gate * HP + j);
     if (gate == SPLIT_GATE) sums[GATE_SUMS - 1] = product;
     else sums[gate] += product;
 #endif
