@@ -3,9 +3,10 @@
 //! A reader receives nothing from writers that offer less than it requests, and each side reports such a pair as an
 //! error. A reader that requests less gets neither repairs nor the messages that writers keep for late-joining readers.
 //! So there is a reader for each kind of writers ([`Kind`]): it is opened when their first writer appears, receives
-//! their messages and no others, and is closed when writers of other kinds are left only. Before the first writer
-//! appears, the reader is reliable and volatile; beside writers that keep messages it stays, since a volatile writer that
-//! is not discovered yet may have matched it, and what that writer sends before it matches another reader would be lost.
+//! their messages and no others, and is closed when only writers of other kinds are left. Before the first writer
+//! appears, a reliable and volatile reader is open. It stays while all known writers keep messages, since a volatile writer
+//! that is not discovered yet may have matched it, and what that writer sends before it matches another reader would be
+//! lost.
 
 use std::{
     collections::BTreeMap,
@@ -349,8 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn readers_are_closed_beside_writers_of_other_kinds_unless_a_volatile_writer_may_have_matched_them()
-     {
+    fn the_first_reader_stays_while_all_known_writers_keep_messages() {
         use Kind::{BestEffort, Latched, Reliable};
         let cases: [(&[Kind], &[Kind]); 6] = [
             (&[], &[]),
