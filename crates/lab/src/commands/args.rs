@@ -219,7 +219,7 @@ pub struct BenchInferenceArgs {
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<NonZeroUsize>,
     /// Devices on which to also time the network in burn.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "flex,ndarray")]
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "flex")]
     pub device: Vec<DeviceKind>,
     /// Time the engine only.
     #[arg(long)]
