@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::{Context, EvaluationError, Settings};
-use eddy_dataset::{self, Bounds, Trajectory};
+use eddy_dataset::{Bounds, Trajectory};
 use eddy_inference::{checkpoint::Description, kernels::spacing::spacing};
 
 /// The streams to evaluate on, and their evaluation context.

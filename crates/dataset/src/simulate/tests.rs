@@ -431,7 +431,7 @@ fn a_damaged_bag_is_found_when_the_request_is_repeated() {
 #[test]
 fn scenes_of_older_versions_fall_down_as_they_did() {
     // Both written by eddy 0.1.0 of 2026-11, in which gravity was along -y: the scene, and the manifest of its bag.
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/dataset/simulate/golden/older_scene.toml");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/simulate/golden/older_scene.toml");
     let mut scene: Scene = eddy_settings::load(Path::new(file)).unwrap();
     assert_eq!(scene.solver.gravity, 1.6);
     assert!(scene.check().unwrap_err().to_string().contains("negative is down"));
