@@ -82,9 +82,9 @@ fn programs() -> Result<Vec<Named>, CudaError> {
         normalized: true,
     };
     let log = Constants { form: Form::Log, one_hot: false, ..paper.clone() };
-    let plain = Constants { core: Core::MinLstm, normalized: false, ..log.clone() };
+    let unnormalized = Constants { core: Core::MinLstm, normalized: false, ..log.clone() };
     let maximum = Constants { pooling: Pooling::MeanMax, ..paper.clone() };
-    let variants = [("log", log), ("plain", plain), ("maximum", maximum)];
+    let variants = [("log", log), ("unnormalized", unnormalized), ("maximum", maximum)];
     let variants = variants
         .into_iter()
         .chain(Core::ALL.map(|core| (core.name(), Constants { core, ..paper.clone() })));

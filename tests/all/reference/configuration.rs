@@ -124,6 +124,7 @@ fn training() -> String {
     let source = Source::of(&[
         "crates/learning/src/train/config.rs",
         "crates/inference/src/checkpoint/network.rs",
+        "crates/inference/src/ops/cell/mod.rs",
     ]);
     let [particle, frame] = [Architecture::Particle, Architecture::Frame]
         .map(|architecture| toml::Table::try_from(TrainConfig::defaults(architecture)).unwrap());

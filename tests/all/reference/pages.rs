@@ -67,6 +67,7 @@ pub fn checkpoint() -> String {
         "crates/inference/src/checkpoint/description.rs",
         "crates/inference/src/checkpoint/elastic.rs",
         "crates/inference/src/checkpoint/network.rs",
+        "crates/inference/src/ops/cell/mod.rs",
         "crates/inference/src/checkpoint/rules.rs",
         "crates/frames/src/lib.rs",
     ]);

@@ -45,7 +45,7 @@ struct LayerMemory {
     sums: Buffer,
     /// States, the one before the first frame first: outputs, then the cells of LSTM, `[states, T + 1, B, HP]`.
     states: Buffer,
-    /// Of a recurrent core: gates from the last output, later gradients by them, `[T, B, gates * HP]`.
+    /// If the core has recurrent weights: gates from the last output, later gradients by them, `[T, B, gates * HP]`.
     recurrent: Option<Buffer>,
     /// Outputs after dropout, `[T, B, HP]`; without dropout the states.
     dropped: Option<Buffer>,

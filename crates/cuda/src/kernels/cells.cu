@@ -1,5 +1,5 @@
-// A layer of the core over frames, of a recurrent core over one. `states` are [STATES, .., B, HP], `list` numbers from outputs to cells,
-// the state before the first frame first; sums are [frames, B, GATES * HP], gates side by side, and so is `recurrent`: the products of
+// A layer of the core over `frames` frames, or one frame at a time if it has recurrent weights. `states` points to the state before the
+// first of these frames, in [STATES, T + 1, B, HP]; `list` is the distance from outputs to cells; sums are [frames, B, GATES * HP], gates side by side, and so is `recurrent`: the products of
 // the last outputs. `d_output` is the gradient by the outputs of these frames, `carried` [STATES, B, HP] the gradient by the last state from
 // later frames, that through the products included; it leaves as the gradient by the state before the first frame, without the
 // products' part of this frame. Gradients by the sums replace the sums and the products.

@@ -109,7 +109,7 @@ kernels! {
     EncoderGradient = "encoder_gradient",
     /// Gradient of the encoder's input.
     EncoderPointsGradient = "encoder_points_gradient",
-    /// A layer of the core over frames, or of a recurrent core over one.
+    /// A layer of the core over frames, or over one if it has recurrent weights.
     CellsForward = "cells_forward",
     /// Its gradient.
     CellsBackward = "cells_backward",

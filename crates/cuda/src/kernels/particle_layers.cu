@@ -24,7 +24,7 @@ template <int UNITS> __device__ __forceinline__ void load_units(const float* fro
   }
 }
 // sums[slot of gate][row][unit] += x w for ROWS rows of x, `step` apart, over `inner` numbers. The gate SPLIT goes to the slot
-// behind the last gate.
+// behind the last gate; none if SPLIT is COUNT.
 template <int COUNT, int SLOTS, int UNITS, int SPLIT>
 __device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], const float* x, int step, const float* __restrict__ w,
     int columns, int gate_columns, int inner) {
@@ -351,7 +351,7 @@ extern "C" __global__ void __launch_bounds__(256) particle_grid_layer(const Stre
 
 // Gather from the nodes, context, core, decoder, and the predicted motion. `w` has the matrices of context, core (input, then
 // recurrent), mixer and decoder one behind the other.
-// grid (ceil(n / TILE), B), block THREADS, shared memory: two lists of TILE rows; of a recurrent core also the states;
+// grid (ceil(n / TILE), B), block THREADS, shared memory: two lists of TILE rows; if the core remembers, also the states;
 // each particle's weights and nodes
 #define DECODE_WIDE ODD4(WIDEST(CONCAT, H4))
 #define DECODE_NARROW ODD4(H4)

@@ -164,7 +164,7 @@ impl Constants {
         self.feature_columns() + self.encoded_columns()
     }
 
-    /// Whether the core remembers outputs, and how many lists of numbers per layer.
+    /// Lists of numbers, `[n, H4]` each, that the core remembers between frames.
     pub(super) fn states(&self) -> usize {
         if self.core.remembers() { self.core.states() * self.layers } else { 0 }
     }

@@ -118,7 +118,8 @@ impl CoreLayer {
         let core = C::CORE;
         let zeros = [simd.splat_f32s(0.0); R];
         let mut sums = self.gates::<S, G, R, K>(simd, panel, inputs);
-        // The part of a gate that depends on the last output, if it is a sum of its own.
+        // The split gate's part that depends on the input, while the products with the last output are added to its bias; then
+        // they change places.
         let mut split = zeros;
         if core.recurrent_part().is_some() {
             let biases = self.biases::<S, G, R>(simd, panel);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{DeviceState, order::spatial_order, scales::stiffness_feature, stepper::Network};
 use crate::{
-    checkpoint::{Core, Description, GridOptions},
+    checkpoint::{Description, GridOptions},
     kernels::{
         lattice::{Expected, Lattices},
         rest_shape::RestShape,
@@ -144,7 +144,7 @@ impl HiddenState {
 /// Lengths of hidden states and cells of a core with rows of so many numbers in each layer.
 fn lengths(description: &Description, row: usize) -> [usize; 2] {
     let states = description.sizes.layers * row;
-    [states, if description.core == Core::Lstm { states } else { 0 }]
+    [states, (description.core.states() - 1) * states]
 }
 
 impl FrameMemory {

@@ -88,18 +88,6 @@ pub fn zip<S: Simd, const N: usize, const M: usize>(
     }
 }
 
-/// A row in G equal parts, such as its gates.
-pub fn parts<const G: usize>(row: &[f32]) -> [&[f32]; G] {
-    let width = row.len() / G;
-    std::array::from_fn(|part| &row[part * width..(part + 1) * width])
-}
-
-/// As [`parts`], to write.
-pub fn parts_mut<const G: usize>(row: &mut [f32]) -> [&mut [f32]; G] {
-    let mut parts = row.chunks_exact_mut(row.len() / G);
-    std::array::from_fn(|_| parts.next().unwrap_or_default())
-}
-
 /// Splits the columns of a matrix with rows of length `width` into strips of at most `strip` columns; each strip consists of
 /// its part of every row.
 pub fn strips(values: &mut [f32], width: usize, strip: usize) -> Vec<Vec<&mut [f32]>> {

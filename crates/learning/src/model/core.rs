@@ -86,14 +86,16 @@ impl RecurrentLayer {
     fn frame_by_frame(
         &self,
         next: fn(Tensor<2>, Tensor<2>, LayerState) -> LayerState,
-        sums: &Frames,
+        sums: &Tensor<3>,
         carried: Option<LayerState>,
-    ) -> (Frames, LayerState) {
+    ) -> (Tensor<3>, LayerState) {
         let recurrent = self.recurrent.as_ref().expect("this core has the part that `Core` names");
         let [frames, rows, _] = sums.dims();
         let width = recurrent.weight.dims()[0];
-        let zero = || Tensor::zeros([rows, width], &sums.device());
-        let mut state = carried.unwrap_or_else(|| LayerState { hidden: zero(), cell: None });
+        let mut state = carried.unwrap_or_else(|| LayerState {
+            hidden: Tensor::zeros([rows, width], &sums.device()),
+            cell: None,
+        });
         let mut outputs = Vec::with_capacity(frames);
         for t in 0..frames {
             let products = recurrent.forward(state.hidden.clone());
@@ -104,10 +106,8 @@ impl RecurrentLayer {
     }
 }
 
-type Frames = Tensor<3>;
-
 /// a = 1 - s(z), b = s(z) g(c) of h' = a h + b, from z and c.
-fn mingru(MinGru { form }: MinGru, sums: Vec<Frames>) -> (Frames, Frames) {
+fn mingru(MinGru { form }: MinGru, sums: Vec<Tensor<3>>) -> (Tensor<3>, Tensor<3>) {
     let [gate, c] = parts(sums);
     let update = sigmoid(gate);
     (1.0 - update.clone(), update * candidate(form, c))
@@ -115,7 +115,7 @@ fn mingru(MinGru { form }: MinGru, sums: Vec<Frames>) -> (Frames, Frames) {
 
 /// a = s(f), b = s(i) g(c) of h' = a h + b, from f, i and c. Normalised, a is 1 - u with u = s(i) / (s(f) + s(i)), so that a + u is
 /// exactly 1.
-fn minlstm(MinLstm { form, normalize }: MinLstm, sums: Vec<Frames>) -> (Frames, Frames) {
+fn minlstm(MinLstm { form, normalize }: MinLstm, sums: Vec<Tensor<3>>) -> (Tensor<3>, Tensor<3>) {
     let [forget, input, c] = parts(sums);
     let (forget, update) = (sigmoid(forget), sigmoid(input));
     let candidate = candidate(form, c);
@@ -147,7 +147,7 @@ fn lstm(input: Tensor<2>, recurrent: Tensor<2>, last: LayerState) -> LayerState 
 
 /// The candidate as it enters the state: c, or in the log form g(c) = c + 1/2 for c >= 0 and s(c) below. The recurrence is
 /// computed directly in that form too: with 0 <= a <= 1 it cannot overflow, and a zero state needs no logarithm.
-pub(crate) fn candidate(form: Form, c: Frames) -> Frames {
+pub(crate) fn candidate(form: Form, c: Tensor<3>) -> Tensor<3> {
     match form {
         Form::Plain => c,
         // s(min(c, 0)) is 1/2 for c >= 0.
@@ -166,7 +166,7 @@ pub(crate) fn activate<const D: usize>(kind: Activation, signal: Tensor<D>) -> T
 }
 
 /// The outputs of a layer's parts.
-fn parts<const G: usize>(sums: Vec<Frames>) -> [Frames; G] {
+fn parts<const G: usize>(sums: Vec<Tensor<3>>) -> [Tensor<3>; G] {
     sums.try_into().expect("a core has the parts that `Core` names")
 }
 

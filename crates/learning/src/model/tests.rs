@@ -272,7 +272,7 @@ fn from_a_state(description: &Description, frames: usize, device: DeviceKind) ->
         Tensor::<2>::from_data(data, &recorded).require_grad()
     };
     let (hidden, cell) = (state(), state());
-    let has_cell = description.core == Core::Lstm;
+    let has_cell = description.core.states() > 1;
     let before = LayerState { hidden: hidden.clone(), cell: has_cell.then(|| cell.clone()) };
     let (outputs, after) = layers.core[0].observe(input.clone(), Some(before));
     let mut values = vec![numbers(&outputs), numbers(&after.hidden)];
@@ -299,8 +299,8 @@ proptest! {
         for description in cores.filter(|d| d.sizes.hidden < 100) {
             let fused = from_a_state(&description, frames, DeviceKind::Flex);
             let plain = from_a_state(&description, frames, DeviceKind::Ndarray);
-            let recurrent = description.core != Core::Mlp;
-            prop_assert!(fused.len() == plain.len() && fused.len() >= 5 + usize::from(recurrent));
+            let remembers = description.core.remembers();
+            prop_assert!(fused.len() == plain.len() && fused.len() >= 5 + usize::from(remembers));
             for (index, (found, expected)) in fused.iter().zip(&plain).enumerate() {
                 let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
                 let difference = largest_difference(found, expected) / largest;
@@ -358,6 +358,6 @@ fn gates_of_an_untrained_network_are_open() {
             layers.core[0].step(Tensor::zeros([1, 5], &device), Some(state)).hidden
         };
         let kept = after(Tensor::ones([1, 5], &device)) - after(Tensor::zeros([1, 5], &device));
-        assert!(numbers(&kept).iter().all(|a| *a <= 0.5 + 1e-6), "{core:?}");
+        assert!(numbers(&kept).iter().all(|a| *a < 0.45), "{core:?}");
     }
 }

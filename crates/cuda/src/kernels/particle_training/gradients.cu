@@ -129,7 +129,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode_gradien
       }
       __syncwarp();
 #if RECURRENT
-      // The part of the last gate through the state is the last slot, if it is a sum of its own.
+      // The gradient by the split gate's products lies behind the gates.
       const float* recurrent = matrix + GATES_SIZE;
       tile_product<false>(slots, LEARN_SLOTS, y, LEARN_NARROW, recurrent, CORE_COLUMNS, nullptr, SPLIT_GATE * H4, H4, false);
 #if SPLIT_GATE < GATES

@@ -109,7 +109,7 @@ struct Outer {
   int stencil, level; // of nodes; level -1: particles
   int width, x_stride; // of x: numbers that enter, numbers from a row to the next
   int outputs, stride; // the same of `by`
-  int gap;          // numbers left out before the last third of `by`
+  int gap;          // numbers left out before the columns of the split gate in `by`
   int rows;         // that a block has at a time, a multiple of 8
   int left, left_end; // rows of the matrix: those behind `x` are for its bias
   int right, right_end; // columns
@@ -160,7 +160,7 @@ extern "C" __global__ void __launch_bounds__(OUTER_THREADS) train_outer(const Pl
   const Share x_share = share_of((min(o.left_end, inner) - o.left) / 4), by_share = share_of((o.right_end - o.right) / 4);
   const int x_number = o.left + 4 * x_share.quad, place = o.width ? x_number / o.width : 0, x_column = o.width ? x_number % o.width : 0;
   const int by_number = o.right + 4 * by_share.quad, target = by_number / o.outputs, column = by_number % o.outputs;
-  const int by_column = column + (3 * column >= 2 * o.outputs ? o.gap : 0);
+  const int by_column = column + (column >= SPLIT_GATE * H4 ? o.gap : 0);
   const auto total_of = [&](int t) { return of_nodes ? s.totals[(t * s.batch + b) * LEVELS + o.level] : particles_of(s, b); };
   // The first rows of a frame that has any.
   const auto settle = [&](int& t, u32& begin) {

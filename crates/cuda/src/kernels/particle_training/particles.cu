@@ -142,7 +142,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const P
       tile_layer(units, LEARN_NARROW, slots, LEARN_SLOTS, matrix, H4, CORE_COLUMNS, false);
       __syncwarp();
 #if RECURRENT
-      // The products of a gate that are a sum of their own are those of the last gate, and lie behind the gates.
+      // The split gate is the last one; its products with the state lie behind the gates.
       const float *recurrent = matrix + GATES_SIZE, *bias = recurrent + H4 * CORE_COLUMNS;
       tile_product<true>(last, LEARN_NARROW, slots, LEARN_SLOTS, recurrent, H4, bias, H4, SPLIT_GATE * H4, false);
 #if SPLIT_GATE < GATES

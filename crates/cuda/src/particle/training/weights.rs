@@ -73,7 +73,7 @@ struct Rows {
     strides: [usize; 2],
     /// The nodes that make up a row, and their level.
     nodes: Option<(NodeRows, usize)>,
-    /// Numbers left out before the last third of the gradients.
+    /// Numbers left out before the split gate's columns of the gradients.
     gap: usize,
 }
 

@@ -2,12 +2,15 @@
 //   MLP, LSTM, GRU, MINLSTM or MINGRU  the core
 //   GATES       sums that the input gives
 //   RECURRENT   1: the last output is multiplied too
-//   SPLIT_GATE  the gate whose part from the last output is a sum of its own, behind the gates; GATES if there is none
+//   SPLIT_GATE  the gate whose part from the last output is a sum of its own, behind the gates: the last gate, or GATES if there is none
 //   REMEMBERS   1: the new state depends on the last one
 //   STATES      numbers of a unit's state: output, and the cell of LSTM
 //   LOG_FORM, NORMALIZED  forms of the minimal recurrences
 // and for the functions `sigmoid`, `hyperbolic_tangent`, `activate`, `activation_slope` and `divide`.
 #define GATE_SUMS (GATES + (SPLIT_GATE < GATES))
+#if SPLIT_GATE < GATES - 1
+#error "the split gate must be the last one"
+#endif
 
 // What is added to f + i of minLSTM, which is zero in f32 if both gates are closed.
 #define MIN_GATE_SUM 1e-12f
@@ -29,7 +32,7 @@ __device__ __forceinline__ float candidate_slope(float c) {
 #endif
 }
 
-// The new state in place of the last one. Of GRU and LSTM, what the gradient needs takes the place of the sums.
+// The new state in place of the last one. In GRU and LSTM, what the gradient needs takes the place of the sums.
 __device__ __forceinline__ void cell_forward(float* sums, float* state) {
 #if MLP
   state[0] = activate(sums[0]);
@@ -58,11 +61,13 @@ __device__ __forceinline__ void cell_forward(float* sums, float* state) {
   sums[3] = o;
   state[1] = fmaf(f, state[1], i * g);
   state[0] = o * hyperbolic_tangent(state[1]);
+#else
+#error "this core has no cell"
 #endif
 }
 
 // The gradients by the sums in their place, and by the last state in the place of those by the new one, `by`. The sums are as `cell_forward` left
-// them. Of GRU and LSTM, the gradient by the last output lacks its part through the sums.
+// them. In GRU and LSTM, the gradient by the last output lacks its part through the sums.
 __device__ __forceinline__ void cell_gradient(float* sums, const float* last, const float* next, float* by) {
 #if MLP
   sums[0] = by[0] * activation_slope(next[0]);
@@ -99,5 +104,7 @@ __device__ __forceinline__ void cell_gradient(float* sums, const float* last, co
   sums[3] = by[0] * t * o * (1.0f - o);
   by[0] = 0.0f;
   by[1] = by_c * f;
+#else
+#error "this core has no gradient"
 #endif
 }

@@ -102,7 +102,7 @@ impl Core {
         gates
     }
 
-    /// The gate whose part that depends on the last output is a sum of its own, behind the gates.
+    /// The gate whose part that depends on the last output is a sum of its own, behind the gates; it is the last gate.
     pub const fn split_gate(self) -> Option<usize> {
         match self {
             // The reset gate scales it.
@@ -179,7 +179,7 @@ pub type State<S> = [<S as Simd>::f32s; 2];
 
 /// A cell, for some units at once.
 pub trait Cell: Copy + std::fmt::Debug + Send + Sync + 'static {
-    /// Whose cell it is.
+    /// The core that this cell belongs to.
     const CORE: Core;
 
     /// The new state in place of the last one. In GRU and LSTM, what the gradient needs takes the place of `sums`.
@@ -467,13 +467,12 @@ impl AnyCell {
 /// Runs `$body` with `$cell`, the [`Cell`] in an [`AnyCell`], and `$gates`, the constant number of its gates.
 #[macro_export]
 macro_rules! with_cell {
-    ($any:expr, |$cell:ident, $gates:ident| $body:expr) => {
+    ($any:expr, |$cell:ident, $gates:tt| $body:expr) => {
         $crate::with_cell!(@ $any, $cell, $gates, $body, Mlp MinGru MinLstm Gru Lstm)
     };
-    (@ $any:expr, $cell:ident, $gates:ident, $body:expr, $($variant:ident)*) => {
+    (@ $any:expr, $cell:ident, $gates:tt, $body:expr, $($variant:ident)*) => {
         match $any {
             $($crate::ops::cell::AnyCell::$variant($cell) => {
-                #[allow(dead_code, reason = "not every caller needs it")]
                 const $gates: usize = $crate::ops::cell::Core::$variant.gates();
                 $body
             })*

@@ -44,12 +44,12 @@ pub fn backward<C: Cell>(
     by_strips.into_par_iter().zip(by_state.par_chunks_mut(STRIP)).enumerate().for_each(
         |(strip, (by_sums, by_state))| {
             let columns = Columns { start: strip * STRIP, width };
-            let inputs = [states, gradient];
             Arch::new().dispatch(Backward {
                 cell,
                 sums,
                 initial,
-                inputs,
+                states,
+                gradient,
                 columns,
                 by_sums,
                 by_state,
@@ -128,8 +128,9 @@ struct Backward<'a, C> {
     cell: C,
     sums: &'a [&'a [f32]],
     initial: &'a [f32],
-    /// The states, and the gradient by them.
-    inputs: [&'a [f32]; 2],
+    states: &'a [f32],
+    /// By the states.
+    gradient: &'a [f32],
     columns: Columns,
     /// Gate by gate, frame by frame.
     by_sums: Vec<Vec<&'a mut [f32]>>,
@@ -142,7 +143,7 @@ impl<C: Cell> WithSimd for Backward<'_, C> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { cell, sums, initial, inputs: [states, gradient], columns, .. } = self;
+        let Self { cell, sums, initial, states, gradient, columns, .. } = self;
         let (mut by_sums, by_state) = (self.by_sums, self.by_state);
         let gates = const { C::CORE.gates() };
         let length = by_state.len();

@@ -35,12 +35,12 @@ pub struct States {
     pub kept: Kept,
 }
 
-/// What the gradients need, `[T, R, G H]` each.
+/// What the gradients need, `[T, R, G H]`.
 #[derive(Clone, Debug)]
 pub struct Kept {
     /// Activated gates.
     gates: Vec<f32>,
-    /// Products of the last outputs with W_hh, plus b_hh.
+    /// Products of the last outputs with W_hh, plus b_hh; empty without a split gate.
     products: Vec<f32>,
 }
 
@@ -108,6 +108,7 @@ impl<C: Cell> Layer<'_, C> {
                     Arch::new().dispatch(Forward { cell, gates, products, before, state });
                 });
         }
+        let products = if is_split::<C>() { products } else { Vec::new() };
         States { states, kept: Kept { gates, products } }
     }
 
@@ -142,7 +143,11 @@ impl<C: Cell> Layer<'_, C> {
                     let here = t * rows + number;
                     Arch::new().dispatch(Backward {
                         cell: self.cell,
-                        kept: [&kept.gates, &kept.products].map(|list| row(list, here, sum_width)),
+                        gates: row(&kept.gates, here, sum_width),
+                        products: match is_split::<C>() {
+                            true => row(&kept.products, here, sum_width),
+                            false => &[],
+                        },
                         states: [row(before, number, state_width), row(states, here, state_width)],
                         gradient: row(gradient, here, state_width),
                         through,
@@ -164,6 +169,11 @@ impl<C: Cell> Layer<'_, C> {
         }
         Gradients { inputs, weight, bias, initial: direct }
     }
+}
+
+/// Whether a gate has a sum of its own for the last output.
+fn is_split<C: Cell>() -> bool {
+    C::CORE.split_gate().is_some()
 }
 
 /// A row of a list.
@@ -219,8 +229,8 @@ impl<C: Cell> WithSimd for Forward<'_, C> {
 /// A row of a frame.
 struct Backward<'a, C> {
     cell: C,
-    /// Activated gates, products.
-    kept: [&'a [f32]; 2],
+    gates: &'a [f32],
+    products: &'a [f32],
     /// Before and after the frame.
     states: [&'a [f32]; 2],
     gradient: &'a [f32],
@@ -237,7 +247,7 @@ impl<C: Cell> WithSimd for Backward<'_, C> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { cell, kept: [gates, products], states: [last, new], .. } = self;
+        let Self { cell, gates, products, states: [last, new], .. } = self;
         let Self { gradient, through, direct, by_inputs, by_products, .. } = self;
         let [count, states] = const { [C::CORE.gates(), C::CORE.states()] };
         let width = through.len();

@@ -24,7 +24,7 @@ pub(crate) fn cells(
     recurrent: Option<&Linear>,
     carried: Option<LayerState>,
 ) -> (Tensor<3>, LayerState) {
-    with_cell!(cell, |cell, GATES| layer(cell, sums, recurrent, carried))
+    with_cell!(cell, |cell, _| layer(cell, sums, recurrent, carried))
 }
 
 fn layer<C: Cell>(
@@ -49,17 +49,18 @@ fn layer<C: Cell>(
     let shape = [frames, rows, numbers * width];
     let mut sums = sums.into_iter().map(input).collect::<Vec<_>>();
     let states = match recurrent {
+        // Constant, so that `Gated` is compiled only for cells with a recurrent part.
         Some(Linear { weight, bias }) if const { C::CORE.recurrent_part().is_some() } => {
             let [weight, bias] = [input(weight.clone()), input(bias.clone())];
             apply(Gated(cell), [sums.remove(0), weight, bias, initial], shape)
         }
         _ => {
             sums.push(initial);
-            let inputs = "one to three parts";
+            let reason = "a core has one to three parts that read its input";
             match sums.len() {
-                2 => apply::<2, 3, _>(Ungated(cell), sums.try_into().expect(inputs), shape),
-                3 => apply::<3, 3, _>(Ungated(cell), sums.try_into().expect(inputs), shape),
-                _ => apply::<4, 3, _>(Ungated(cell), sums.try_into().expect(inputs), shape),
+                2 => apply::<2, 3, _>(Ungated(cell), sums.try_into().expect(reason), shape),
+                3 => apply::<3, 3, _>(Ungated(cell), sums.try_into().expect(reason), shape),
+                _ => apply::<4, 3, _>(Ungated(cell), sums.try_into().expect(reason), shape),
             }
         }
     }; // [T, R, S H]
