@@ -194,15 +194,15 @@ impl Training {
         frames: usize,
     ) -> Result<()> {
         let wide = self.constants.hidden_columns();
-        let products = layer.recurrent.as_ref();
+        let [sums, products, states, list] = self.cell_arguments(layer, gates, first);
         self.launch(
             Kernel::CellsBackward,
             self.units(1),
             &[
-                self.at(&layer.sums, first, gates).into(),
-                products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
-                self.at(&layer.states, first, wide).into(),
-                self.state_numbers().into(),
+                sums,
+                products,
+                states,
+                list,
                 self.at(&layer.gradient, first, wide).into(),
                 layer.carried.address().into(),
                 frames.into(),

@@ -156,24 +156,31 @@ impl Training {
         first: usize,
         frames: usize,
     ) -> Result<()> {
-        let wide = self.constants.hidden_columns();
-        let products = layer.recurrent.as_ref();
+        let [sums, products, states, list] = self.cell_arguments(layer, gates, first);
         self.launch(
             Kernel::CellsForward,
             self.units(1),
-            &[
-                self.at(&layer.sums, first, gates).into(),
-                products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
-                self.at(&layer.states, first, wide).into(),
-                self.state_numbers().into(),
-                frames.into(),
-            ],
+            &[sums, products, states, list, frames.into()],
         )
     }
 
-    /// Numbers from a layer's outputs of all frames to its cells.
-    pub(super) fn state_numbers(&self) -> u64 {
-        ((self.frames() + 1) * self.settings.batch * self.constants.hidden_columns()) as u64
+    /// What both kernels of the cells begin with: sums, products of the last outputs and states, from frame `first` on, and the
+    /// numbers from a layer's outputs of all frames to its cells.
+    pub(super) fn cell_arguments(
+        &self,
+        layer: &LayerMemory,
+        gates: usize,
+        first: usize,
+    ) -> [Argument; 4] {
+        let wide = self.constants.hidden_columns();
+        let products = layer.recurrent.as_ref();
+        let list = (self.frames() + 1) * self.settings.batch * wide;
+        [
+            self.at(&layer.sums, first, gates).into(),
+            products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
+            self.at(&layer.states, first, wide).into(),
+            (list as u64).into(),
+        ]
     }
 
     /// Dropout of a layer's outputs, or of their gradients.
