@@ -11,14 +11,15 @@ mod problem;
 
 use std::{
     collections::BTreeMap,
+    ffi::c_void,
     sync::{Arc, Mutex},
 };
 
 use eddy_cuda::{
     Result as DeviceResult,
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
+    device::{Buffer, Device, HostBuffer, Pointer, Product, Queue, Shape},
     gpu::{Gpu, Precision, list},
-    kernels::{Kernel, MATERIALS},
+    kernels::MATERIALS,
     particle::{Store, StoreWriter, Training, TrainingConstants},
     training::{Batch, GROUP, InTraining as _, Settings, Window},
 };
@@ -322,18 +323,19 @@ impl Device for Timed {
         self.gpu.clear(queue, buffer)
     }
 
-    unsafe fn launch(
+    unsafe fn launch_named(
         &self,
         queue: Queue,
-        kernel: Kernel,
+        kernel: &'static str,
         shape: Shape,
-        arguments: &[Argument],
+        arguments: &mut [*mut c_void],
     ) -> DeviceResult<()> {
         // SAFETY: guaranteed by the caller.
-        let time = self.gpu.time(|| unsafe { self.gpu.launch(queue, kernel, shape, arguments) })?;
+        let launch = || unsafe { self.gpu.launch_named(queue, kernel, shape, arguments) };
+        let time = self.gpu.time(launch)?;
         let mut times = self.times.lock().expect("no launch panics");
         let blocks = shape.grid.iter().product();
-        let (launches, total) = times.entry((kernel.name(), blocks)).or_default();
+        let (launches, total) = times.entry((kernel, blocks)).or_default();
         (*launches, *total) = (*launches + 1, *total + time);
         Ok(())
     }
@@ -343,7 +345,7 @@ impl Device for Timed {
         unsafe { self.gpu.multiply(queue, product) }
     }
 
-    unsafe fn average(&self, queue: Queue, at: Address, numbers: usize) -> DeviceResult<()> {
+    unsafe fn average(&self, queue: Queue, at: Pointer<f32>, numbers: usize) -> DeviceResult<()> {
         // SAFETY: guaranteed by the caller.
         unsafe { self.gpu.average(queue, at, numbers) }
     }

@@ -5,7 +5,7 @@
 
 use std::{
     collections::HashMap,
-    ffi::c_void,
+    ffi::{CString, c_char, c_void},
     fs,
     process::Command,
     sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
@@ -15,14 +15,12 @@ use libloading::Library;
 
 use eddy_cuda::{
     CudaError, Result,
-    device::{
-        Address, Argument, Buffer, Device, HostBuffer, MOST_BLOCKS, Product, Queue, Rank, Shape,
-    },
-    kernels::{Kernel, Program},
+    device::{Buffer, Device, HostBuffer, MOST_BLOCKS, Pointer, Product, Queue, Rank, Shape},
+    kernels::Program,
 };
 
-/// What every kernel of the library is called by.
-type Launch = unsafe extern "C" fn(u32, *const u32, *const u32, *mut *mut c_void);
+/// What every kernel of the library is called by: its name, grid, block and arguments.
+type Launch = unsafe extern "C" fn(*const c_char, *const u32, *const u32, *mut *mut c_void);
 
 /// The device.
 pub struct Emulator {
@@ -115,19 +113,17 @@ impl Emulator {
     }
 }
 
-/// Constants, emulator, kernels, and one function that calls any of them by number.
+/// Constants, emulator, kernels, and one function that calls any of them by its name.
 fn text(program: &dyn Program) -> String {
     let mut text = String::from(include_str!("emulator.cpp"));
     for (name, value) in program.definitions() {
         text += &format!("#define {name} {value}\n");
     }
     text += &program.source();
-    text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(unsigned kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
-    let kernels = program.kernels();
-    for (number, kernel) in
-        Kernel::ALL.iter().enumerate().filter(|(_, kernel)| kernels.contains(kernel))
-    {
-        text += &format!("  if (kernel == {number}) call({}, grid, block, a);\n", kernel.name());
+    text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(const char* kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
+    for kernel in program.kernels() {
+        text +=
+            &format!("  if (!std::strcmp(kernel, \"{kernel}\")) call({kernel}, grid, block, a);\n");
     }
     text + "}\n"
 }
@@ -168,21 +164,21 @@ fn compile(source: &str) -> Result<Library> {
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-fn pointer(at: Address) -> *mut u8 {
-    at.0 as *mut u8
+fn pointer(address: u64) -> *mut u8 {
+    address as *mut u8
 }
 
 impl Device for Emulator {
     fn allocate(&self, bytes: usize) -> Result<Buffer> {
         let mut memory = vec![0u128; bytes.div_ceil(16).max(1)];
-        let address = Address(memory.as_mut_ptr().expose_provenance() as u64);
+        let address = memory.as_mut_ptr().expose_provenance() as u64;
         // SAFETY: the list is that long, and does not move when its owner does.
         Ok(unsafe { Buffer::new(address, bytes, memory) })
     }
 
     fn allocate_host(&self, bytes: usize) -> Result<HostBuffer> {
         let mut memory = vec![0u128; bytes.div_ceil(16).max(1)];
-        let address = Address(memory.as_mut_ptr().expose_provenance() as u64);
+        let address = memory.as_mut_ptr().expose_provenance() as u64;
         // SAFETY: as in `allocate`.
         Ok(unsafe { HostBuffer::new(address, bytes, memory) })
     }
@@ -224,32 +220,28 @@ impl Device for Emulator {
         Ok(())
     }
 
-    unsafe fn launch(
+    unsafe fn launch_named(
         &self,
         _: Queue,
-        kernel: Kernel,
+        kernel: &'static str,
         shape: Shape,
-        arguments: &[Argument],
+        arguments: &mut [*mut c_void],
     ) -> Result<()> {
-        let number = Kernel::ALL.iter().position(|&one| one == kernel).unwrap_or_default() as u32;
         // As the driver refuses it.
         if shape.grid[1..].iter().any(|&blocks| blocks > MOST_BLOCKS) {
             let reason = format!("{shape:?}, expected at most {MOST_BLOCKS} blocks along y and z");
-            return Err(CudaError::Call { call: kernel.name(), reason });
+            return Err(CudaError::Call { call: kernel, reason });
         }
         let grid = shape.grid.map(|size| size as u32);
         let block = shape.block.map(|size| size as u32);
-        let mut pointers: Vec<*mut c_void> = arguments
-            .iter()
-            .map(|argument| std::ptr::from_ref(argument).cast_mut().cast())
-            .collect();
+        let name = CString::new(kernel).expect("the name of a kernel");
         let library = self.library.lock().unwrap_or_else(|broken| broken.into_inner());
         // SAFETY: the library has this function, see `text`; the arguments are the caller's promise.
         unsafe {
             let launch = library
                 .get::<Launch>(b"launch")
                 .map_err(|reason| CudaError::Call { call: "dlsym", reason: reason.to_string() })?;
-            launch(number, grid.as_ptr(), block.as_ptr(), pointers.as_mut_ptr());
+            launch(name.as_ptr(), grid.as_ptr(), block.as_ptr(), arguments.as_mut_ptr());
         }
         Ok(())
     }
@@ -258,10 +250,11 @@ impl Device for Emulator {
         self.peers.as_ref().map_or(Rank::ALONE, |peers| peers.rank)
     }
 
-    unsafe fn average(&self, _: Queue, at: Address, numbers: usize) -> Result<()> {
+    unsafe fn average(&self, _: Queue, at: Pointer<f32>, numbers: usize) -> Result<()> {
         let Some(Peers { rank, group }) = &self.peers else { return Ok(()) };
         // SAFETY: the caller's promise.
-        let here = unsafe { std::slice::from_raw_parts_mut(pointer(at).cast::<f32>(), numbers) };
+        let here =
+            unsafe { std::slice::from_raw_parts_mut(pointer(at.address()).cast::<f32>(), numbers) };
         let mut exchange = group.exchange();
         exchange.numbers[rank.number] = here.to_vec();
         exchange.arrived += 1;
@@ -298,7 +291,7 @@ impl Device for Emulator {
 
     unsafe fn multiply(&self, _: Queue, product: &Product) -> Result<()> {
         let [rows, inner, columns] = product.sizes;
-        let at = |address: Address, index: usize| (address.0 as *mut f32).wrapping_add(index);
+        let at = |list: Pointer<f32>, index| (list.address() as *mut f32).wrapping_add(index);
         for row in 0..rows {
             for column in 0..columns {
                 let mut sum = 0f64;

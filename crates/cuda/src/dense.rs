@@ -11,18 +11,19 @@
 use std::sync::Arc;
 
 use crate::{
-    device::{Address, Argument, Buffer, Device, Factor, Product, Queue, Shape},
+    device::{Device, Factor, Kernel, List, Pointer, Product, Queue, Shape, count},
     error::Result,
-    kernels::{AXES, Kernel, Program, round_up},
+    kernels::{
+        AXES, Program,
+        dense::{DenseAdam, DenseBackward, DenseError, DenseForward},
+        round_up,
+    },
 };
 use eddy_inference::checkpoint::Activation;
 
 /// The kernels' text, in parts.
-const SOURCE: [&str; 3] = [
-    include_str!("kernels/base.cu"),
-    include_str!("kernels/common.cu"),
-    include_str!("kernels/dense.cu"),
-];
+const SOURCE: [&str; 3] =
+    [include_str!("base.cu"), include_str!("common.cu"), include_str!("dense.cu")];
 /// Threads of a block of the kernels of activations, and of the others.
 const THREADS: [usize; 2] = [128, 256];
 
@@ -73,12 +74,12 @@ pub struct Dense {
     constants: Constants,
     layers: Vec<Layer>,
     /// Inputs of the layers, and the output of the last: `[rows, columns]`.
-    signals: Vec<Buffer>,
+    signals: Vec<List<f32>>,
     /// Gradients by the hidden layers' outputs.
-    slopes: Vec<Buffer>,
-    truth: Buffer,
+    slopes: Vec<List<f32>>,
+    truth: List<f32>,
     /// Sums of squared errors, by rows.
-    squares: Buffer,
+    squares: List<f32>,
     /// Numbers of a frame.
     features: usize,
     /// Rows that there is memory for.
@@ -89,10 +90,10 @@ pub struct Dense {
 struct Layer {
     rows: usize,
     columns: usize,
-    weight: Buffer,
-    gradient: Buffer,
-    first: Buffer,
-    second: Buffer,
+    weight: List<f32>,
+    gradient: List<f32>,
+    first: List<f32>,
+    second: List<f32>,
 }
 
 impl Dense {
@@ -123,25 +124,23 @@ impl Dense {
             for (row, from) in matrix.chunks_exact_mut(width).zip(from) {
                 row[..output].copy_from_slice(from);
             }
-            let buffer = || device.allocate(4 * matrix.len());
-            let layer = Layer {
+            let zeros = || List::new(&*device, matrix.len());
+            layers.push(Layer {
                 rows: height,
                 columns: width,
-                weight: buffer()?,
-                gradient: buffer()?,
-                first: buffer()?,
-                second: buffer()?,
-            };
-            device.write(&layer.weight, 0, bytemuck::cast_slice(&matrix))?;
-            layers.push(layer);
+                weight: List::of(&*device, &matrix)?,
+                gradient: zeros()?,
+                first: zeros()?,
+                second: zeros()?,
+            });
         }
-        let signal = |columns: usize| device.allocate(4 * rows * columns);
+        let signal = |columns: usize| List::new(&*device, rows * columns);
         let mut signals = vec![signal(columns(features))?];
         for layer in &layers {
             signals.push(signal(layer.columns)?);
         }
         let slopes = layers[1..].iter().map(|layer| signal(layer.rows)).collect::<Result<_>>()?;
-        let (truth, squares) = (signal(columns(features))?, device.allocate(4 * rows)?);
+        let (truth, squares) = (signal(columns(features))?, signal(1)?);
         Ok(Self { device, constants, layers, signals, slopes, truth, squares, features, rows })
     }
 
@@ -158,35 +157,36 @@ impl Dense {
         let last = self.layers.len() - 1;
         for (number, layer) in self.layers.iter().enumerate().rev() {
             let above = match number == last {
-                true => self.signals[last + 1].address(),
-                false => self.slopes[number].address(),
+                true => self.signals[last + 1].pointer(),
+                false => self.slopes[number].pointer(),
             };
             let above = factor(above, layer.columns);
-            let weight = factor(layer.weight.address(), layer.columns);
+            let weight = factor(layer.weight.pointer(), layer.columns);
             if number > 0 {
                 let sizes = [rows, layer.columns, layer.rows];
                 let below = &self.slopes[number - 1];
                 self.multiply(above, turned(weight), below, layer.rows, sizes)?;
                 let signal = &self.signals[number];
-                let arguments = [below.address().into(), signal.address().into()];
-                self.launch(Kernel::DenseBackward, self.hidden(rows), &arguments)?;
+                let backward = DenseBackward { d: below.pointer(), y: signal.pointer() };
+                self.launch(self.hidden(rows), backward)?;
             }
-            let signal = turned(factor(self.signals[number].address(), layer.rows));
+            let signal = turned(factor(self.signals[number].pointer(), layer.rows));
             let sizes = [layer.rows, rows, layer.columns];
             self.multiply(signal, above, &layer.gradient, layer.columns, sizes)?;
-            let count = layer.rows * layer.columns;
-            let arguments = [
-                layer.weight.address().into(),
-                layer.gradient.address().into(),
-                layer.first.address().into(),
-                layer.second.address().into(),
-                count.into(),
-                by.rate.into(),
-                by.correction.into(),
-                by.epsilon.into(),
-            ];
-            let shape = Shape::new(count.div_ceil(THREADS[1]), 1, THREADS[1]);
-            self.launch(Kernel::DenseAdam, shape, &arguments)?;
+            let numbers = layer.rows * layer.columns;
+            self.launch(
+                Shape::new(numbers.div_ceil(THREADS[1]), 1, THREADS[1]),
+                DenseAdam {
+                    w: layer.weight.pointer(),
+                    g: layer.gradient.pointer(),
+                    first: layer.first.pointer(),
+                    second: layer.second.pointer(),
+                    n: count(numbers),
+                    rate: by.rate,
+                    correction: by.correction,
+                    epsilon: by.epsilon,
+                },
+            )?;
         }
         Ok(loss)
     }
@@ -205,33 +205,34 @@ impl Dense {
         self.write(&self.truth, truth)?;
         let last = self.layers.len() - 1;
         for (number, layer) in self.layers.iter().enumerate() {
-            let signal = factor(self.signals[number].address(), layer.rows);
-            let weight = factor(layer.weight.address(), layer.columns);
+            let signal = factor(self.signals[number].pointer(), layer.rows);
+            let weight = factor(layer.weight.pointer(), layer.columns);
             let output = &self.signals[number + 1];
             let sizes = [rows, layer.rows, layer.columns];
             self.multiply(signal, weight, output, layer.columns, sizes)?;
             if number < last {
-                let arguments = [output.address().into()];
-                self.launch(Kernel::DenseForward, self.hidden(rows), &arguments)?;
+                self.launch(self.hidden(rows), DenseForward { y: output.pointer() })?;
             }
         }
         let numbers = rows * self.features;
-        let arguments = [
-            self.signals[last + 1].address().into(),
-            self.truth.address().into(),
-            self.squares.address().into(),
-            columns(self.features).into(),
-            self.features.into(),
-            (2.0 / numbers as f32).into(),
-        ];
-        self.launch(Kernel::DenseError, Shape::new(rows, 1, THREADS[1]), &arguments)?;
+        self.launch(
+            Shape::new(rows, 1, THREADS[1]),
+            DenseError {
+                y: self.signals[last + 1].pointer(),
+                truth: self.truth.pointer(),
+                squares: self.squares.pointer(),
+                columns: count(columns(self.features)),
+                width: count(self.features),
+                scale: 2.0 / numbers as f32,
+            },
+        )?;
         let mut squares = vec![0.0f32; rows];
         self.device.read(&self.squares, 0, bytemuck::cast_slice_mut(&mut squares))?;
         Ok(squares.into_iter().map(f64::from).sum::<f64>() / numbers as f64)
     }
 
     /// Copies frames, with a column of ones after their numbers.
-    fn write(&self, to: &Buffer, frames: &[f32]) -> Result<()> {
+    fn write(&self, to: &List<f32>, frames: &[f32]) -> Result<()> {
         let width = columns(self.features);
         let mut padded = vec![0.0; frames.len() / self.features * width];
         for (row, frame) in padded.chunks_exact_mut(width).zip(frames.chunks_exact(self.features)) {
@@ -246,26 +247,26 @@ impl Dense {
         Shape::new(columns(self.constants.width).div_ceil(THREADS[0]), rows, THREADS[0])
     }
 
-    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
-        // SAFETY: the arguments are those in `dense.cu`; `new` has allocated as much as the shapes ask for.
-        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    fn launch(&self, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: `new` has allocated as much as the shapes ask for.
+        unsafe { self.device.launch(Queue::Main, shape, &kernel) }
     }
 
     fn multiply(
         &self,
         left: Factor,
         right: Factor,
-        result: &Buffer,
+        result: &List<f32>,
         stride: usize,
         sizes: [usize; 3],
     ) -> Result<()> {
-        let product = Product { left, right, result: result.address(), stride, sizes, add: false };
+        let product = Product { left, right, result: result.pointer(), stride, sizes, add: false };
         // SAFETY: as above.
         unsafe { self.device.multiply(Queue::Main, &product) }
     }
 }
 
-fn factor(at: Address, stride: usize) -> Factor {
+fn factor(at: Pointer<f32>, stride: usize) -> Factor {
     Factor { at, stride, transposed: false }
 }
 

@@ -3,34 +3,74 @@
 
 #![expect(unsafe_code, reason = "launches cannot be checked by the compiler")]
 
-use std::any::Any;
+use std::{any::Any, ffi::c_void, fmt, marker::PhantomData, ops::Deref};
 
-use crate::{error::Result, kernels::Kernel};
+use crate::error::Result;
 
-/// A place in the memory of a device (bytes); 0 is nowhere.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Address(pub u64);
+/// Where numbers or structs of a type begin in the memory of a device.
+///
+/// ```compile_fail
+/// use eddy_cuda::device::Pointer;
+/// let numbers: Pointer<u32> = Pointer::<f32>::NULL;
+/// ```
+#[repr(transparent)]
+pub struct Pointer<T>(u64, PhantomData<fn() -> T>);
 
-impl Address {
+impl<T> Pointer<T> {
     /// Nowhere: what a kernel gets for data that it is not to use.
-    pub const NULL: Self = Self(0);
+    pub const NULL: Self = Self::at(0);
 
-    /// The place so many numbers of 4 bytes further on.
-    #[must_use]
-    pub fn plus(self, numbers: usize) -> Self {
-        Self(self.0 + 4 * numbers as u64)
+    /// At an address.
+    pub const fn at(address: u64) -> Self {
+        Self(address, PhantomData)
     }
 
-    /// The place so many bytes further on.
+    /// The address.
+    pub const fn address(self) -> u64 {
+        self.0
+    }
+
+    /// The place so many items further on.
     #[must_use]
-    pub fn plus_bytes(self, bytes: usize) -> Self {
-        Self(self.0 + bytes as u64)
+    pub const fn plus(self, items: usize) -> Self {
+        Self::at(self.0 + (items * size_of::<T>()) as u64)
+    }
+
+    /// The same place for items of another type.
+    #[must_use]
+    pub const fn cast<U>(self) -> Pointer<U> {
+        Pointer::at(self.0)
     }
 }
 
+impl<T> Clone for Pointer<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Pointer<T> {}
+
+impl<T> Default for Pointer<T> {
+    fn default() -> Self {
+        Self::NULL
+    }
+}
+
+impl<T> fmt::Debug for Pointer<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:#x}", self.0)
+    }
+}
+
+// SAFETY: an integer; any value is an address.
+unsafe impl<T: 'static> bytemuck::Zeroable for Pointer<T> {}
+// SAFETY: as above.
+unsafe impl<T: 'static> bytemuck::Pod for Pointer<T> {}
+
 /// Memory of a device, given back when it is dropped.
 pub struct Buffer {
-    address: Address,
+    address: u64,
     bytes: usize,
     /// What gives it back.
     _owner: Box<dyn Any + Send + Sync>,
@@ -41,12 +81,12 @@ impl Buffer {
     ///
     /// # Safety
     /// The device must have as many bytes there until then.
-    pub unsafe fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
+    pub unsafe fn new(address: u64, bytes: usize, owner: impl Any + Send + Sync) -> Self {
         Self { address, bytes, _owner: Box::new(owner) }
     }
 
     /// Where it starts.
-    pub fn address(&self) -> Address {
+    pub fn address(&self) -> u64 {
         self.address
     }
 
@@ -59,20 +99,59 @@ impl Buffer {
     ///
     /// # Panics
     /// If they reach beyond the end.
-    pub fn part(&self, offset: usize, bytes: usize) -> Address {
+    pub fn part(&self, offset: usize, bytes: usize) -> u64 {
         let end = offset.checked_add(bytes);
         assert!(
             end.is_some_and(|end| end <= self.bytes),
             "{bytes} bytes at {offset} of {}",
             self.bytes
         );
-        self.address.plus_bytes(offset)
+        self.address + offset as u64
+    }
+}
+
+/// A list in the memory of a device.
+pub(crate) struct List<T> {
+    buffer: Buffer,
+    items: PhantomData<fn() -> T>,
+}
+
+impl<T: bytemuck::Pod> List<T> {
+    /// So many items, all zero.
+    pub(crate) fn new(device: &dyn Device, items: usize) -> Result<Self> {
+        Ok(Self { buffer: device.allocate(size_of::<T>() * items)?, items: PhantomData })
+    }
+
+    /// A copy of these.
+    pub(crate) fn of(device: &dyn Device, items: &[T]) -> Result<Self> {
+        let list = Self::new(device, items.len())?;
+        device.write(&list, 0, bytemuck::cast_slice(items))?;
+        Ok(list)
+    }
+
+    /// Where it begins.
+    pub(crate) fn pointer(&self) -> Pointer<T> {
+        Pointer::at(self.buffer.address)
+    }
+}
+
+impl<T> From<List<T>> for Buffer {
+    fn from(list: List<T>) -> Self {
+        list.buffer
+    }
+}
+
+impl<T> Deref for List<T> {
+    type Target = Buffer;
+
+    fn deref(&self) -> &Buffer {
+        &self.buffer
     }
 }
 
 /// Memory of the host that a device reads and writes itself, given back when it is dropped.
 pub struct HostBuffer {
-    address: Address,
+    address: u64,
     bytes: usize,
     /// What gives it back.
     _owner: Box<dyn Any + Send + Sync>,
@@ -83,13 +162,13 @@ impl HostBuffer {
     ///
     /// # Safety
     /// The address must be that of as many bytes, aligned to 16, until then.
-    pub unsafe fn new(address: Address, bytes: usize, owner: impl Any + Send + Sync) -> Self {
+    pub unsafe fn new(address: u64, bytes: usize, owner: impl Any + Send + Sync) -> Self {
         Self { address, bytes, _owner: Box::new(owner) }
     }
 
     /// Where it starts, for the device and for the host.
-    pub fn address(&self) -> Address {
-        self.address
+    pub fn pointer<T>(&self) -> Pointer<T> {
+        Pointer::at(self.address)
     }
 
     /// The memory as a list.
@@ -99,7 +178,7 @@ impl HostBuffer {
     pub unsafe fn slice<T: bytemuck::Pod>(&mut self) -> &mut [T] {
         // SAFETY: the constructor's promise; any bytes are a `T`; `&mut self` keeps out other lists.
         unsafe {
-            let first = std::ptr::with_exposed_provenance_mut(self.address.0 as usize);
+            let first = std::ptr::with_exposed_provenance_mut(self.address as usize);
             std::slice::from_raw_parts_mut(first, self.bytes / size_of::<T>())
         }
     }
@@ -111,7 +190,7 @@ impl HostBuffer {
     pub unsafe fn view<T: bytemuck::Pod>(&self) -> &[T] {
         // SAFETY: as in `slice`.
         unsafe {
-            let first = std::ptr::with_exposed_provenance(self.address.0 as usize);
+            let first = std::ptr::with_exposed_provenance(self.address as usize);
             std::slice::from_raw_parts(first, self.bytes / size_of::<T>())
         }
     }
@@ -144,50 +223,22 @@ impl Rank {
     pub const ALONE: Self = Self { number: 0, count: 1 };
 }
 
-/// Largest value passed to a kernel (bytes): `struct Frames` has 76.
-const ARGUMENT_BYTES: usize = 80;
+/// The arguments of a kernel. `build.rs` implements it for all kernels in the `.cu` files.
+pub trait Kernel {
+    /// The kernel's name.
+    const NAME: &'static str;
 
-/// A value passed to a kernel: a number, an address, or a struct of C.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(8))]
-pub struct Argument([u8; ARGUMENT_BYTES]);
-
-impl Argument {
-    /// From the bytes of a value as C has it.
-    ///
-    /// # Panics
-    /// When there are more than 80.
-    pub fn from_bytes(bytes: &[u8]) -> Self {
-        let mut all = [0; ARGUMENT_BYTES];
-        all[..bytes.len()].copy_from_slice(bytes);
-        Self(all)
-    }
+    /// Where the arguments are, in the kernel's order.
+    fn arguments(&self) -> Vec<*mut c_void>;
 }
 
-impl From<Address> for Argument {
-    fn from(value: Address) -> Self {
-        Self::from_bytes(&value.0.to_le_bytes())
-    }
-}
-
-impl From<u64> for Argument {
-    fn from(value: u64) -> Self {
-        Self::from_bytes(&value.to_le_bytes())
-    }
-}
-
-impl From<f32> for Argument {
-    fn from(value: f32) -> Self {
-        Self::from_bytes(&value.to_le_bytes())
-    }
-}
-
-/// A C int: sizes and counts, all below 2^31.
-impl From<usize> for Argument {
-    fn from(value: usize) -> Self {
-        let value = i32::try_from(value).expect("sizes are checked before work starts");
-        Self::from_bytes(&value.to_le_bytes())
-    }
+/// A size or a count as a kernel takes it.
+///
+/// # Panics
+/// If it is too large: settings are checked before work starts.
+pub(crate) fn count<T: TryFrom<usize>>(number: usize) -> T {
+    let Ok(count) = number.try_into() else { panic!("{number} is too large for a kernel") };
+    count
 }
 
 /// Blocks of a grid along y and along z, at most.
@@ -215,7 +266,7 @@ impl Shape {
 #[derive(Clone, Copy, Debug)]
 pub struct Factor {
     /// Where it is.
-    pub at: Address,
+    pub at: Pointer<f32>,
     /// Numbers from a row to the next one.
     pub stride: usize,
     /// Whether it is stored the other way round.
@@ -230,7 +281,7 @@ pub struct Product {
     /// The right factor.
     pub right: Factor,
     /// The result.
-    pub result: Address,
+    pub result: Pointer<f32>,
     /// Numbers from a row of the result to the next one.
     pub stride: usize,
     /// Rows, inner size, columns.
@@ -298,20 +349,20 @@ pub trait Device: Send + Sync {
     /// As above.
     fn clear(&self, queue: Queue, buffer: &Buffer) -> Result<()>;
 
-    /// Puts a kernel into a queue.
+    /// Puts a kernel into a queue; the method `launch` takes typed arguments.
     ///
     /// # Safety
-    /// The arguments must be those of the kernel, in type and order, and the memory they name must be as large as
+    /// The arguments must point to values of the kernel's types in its order, and the memory these name must be as large as
     /// the kernel and the shape ask for.
     ///
     /// # Errors
     /// As above.
-    unsafe fn launch(
+    unsafe fn launch_named(
         &self,
         queue: Queue,
-        kernel: Kernel,
+        kernel: &'static str,
         shape: Shape,
-        arguments: &[Argument],
+        arguments: &mut [*mut c_void],
     ) -> Result<()>;
 
     /// Puts a product into a queue.
@@ -336,7 +387,7 @@ pub trait Device: Send + Sync {
     ///
     /// # Errors
     /// As above.
-    unsafe fn average(&self, _queue: Queue, _at: Address, _numbers: usize) -> Result<()> {
+    unsafe fn average(&self, _queue: Queue, _at: Pointer<f32>, _numbers: usize) -> Result<()> {
         Ok(())
     }
 
@@ -370,5 +421,24 @@ pub trait Device: Send + Sync {
     /// As above.
     fn finish(&self) -> Result<()> {
         Ok(())
+    }
+}
+
+impl dyn Device + '_ {
+    /// Puts a kernel into a queue.
+    ///
+    /// # Safety
+    /// The memory that its arguments name must be as large as the kernel and the shape ask for.
+    ///
+    /// # Errors
+    /// [`CudaError::Call`](crate::CudaError::Call).
+    pub(crate) unsafe fn launch<K: Kernel>(
+        &self,
+        queue: Queue,
+        shape: Shape,
+        kernel: &K,
+    ) -> Result<()> {
+        // SAFETY: the arguments are fields of `kernel`, which `build.rs` has declared as the kernel does; the caller's promise.
+        unsafe { self.launch_named(queue, K::NAME, shape, &mut kernel.arguments()) }
     }
 }

@@ -3,9 +3,10 @@
 #![expect(unsafe_code, reason = "memory that the device reads")]
 
 use crate::{
-    device::{Buffer, Device, HostBuffer},
+    device::{Device, HostBuffer, List},
     error::Result,
     kernels::MATERIALS,
+    streams::Body,
     training::Window,
 };
 
@@ -21,7 +22,7 @@ pub enum Place {
 
 /// Bodies where they lie.
 pub(super) enum Bodies {
-    Device(Buffer),
+    Device(List<Body>),
     Host(HostBuffer),
 }
 
@@ -30,11 +31,11 @@ pub struct Store {
     /// Frame after frame, stream after stream.
     pub(super) bodies: Bodies,
     /// `[streams, N]`.
-    pub(super) material: Buffer,
+    pub(super) material: List<u8>,
     /// Particles in the order of their materials, `[streams, N]`.
-    pub(super) order: Buffer,
+    pub(super) order: List<u32>,
     /// Where each material starts in that order, `[streams, MATERIALS + 1]`.
-    pub(super) segments: Buffer,
+    pub(super) segments: List<u32>,
     /// First body of each stream, and the end of the last one.
     first: Vec<u64>,
     particles: usize,
@@ -99,13 +100,14 @@ impl<'a> StoreWriter<'a> {
         frames: usize,
         place: Place,
     ) -> Result<Self> {
-        let bytes = Store::bytes(frames, particles) as usize;
         Ok(Self {
             device,
             particles,
             bodies: match place {
-                Place::Device => Bodies::Device(device.allocate(bytes)?),
-                Place::Host => Bodies::Host(device.allocate_host(bytes)?),
+                Place::Device => Bodies::Device(List::new(device, frames * particles)?),
+                Place::Host => {
+                    Bodies::Host(device.allocate_host(Store::bytes(frames, particles) as usize)?)
+                }
             },
             materials: Vec::new(),
             order: Vec::new(),
@@ -158,15 +160,10 @@ impl<'a> StoreWriter<'a> {
     /// As [`Self::new`].
     pub fn finish(mut self) -> Result<Store> {
         self.first.push(self.written);
-        let keep = |bytes: &[u8]| -> Result<Buffer> {
-            let buffer = self.device.allocate(bytes.len())?;
-            self.device.write(&buffer, 0, bytes)?;
-            Ok(buffer)
-        };
         Ok(Store {
-            material: keep(&self.materials)?,
-            order: keep(bytemuck::cast_slice(&self.order))?,
-            segments: keep(bytemuck::cast_slice(&self.segments))?,
+            material: List::of(self.device, &self.materials)?,
+            order: List::of(self.device, &self.order)?,
+            segments: List::of(self.device, &self.segments)?,
             bodies: self.bodies,
             first: self.first,
             particles: self.particles,

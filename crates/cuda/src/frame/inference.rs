@@ -15,10 +15,22 @@ use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{layout::Layout, maximum::Points, stream::Memory};
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Queue, Shape},
+    device::{Device, HostBuffer, Kernel, List, Pointer, Queue, Shape, count},
     error::Result,
     graphs::Graphs,
-    kernels::{AXES, Constants, Kernel, motion, scaling},
+    kernels::{
+        Constants,
+        frame::{
+            encoder::Scaling,
+            inference::{
+                CellsStreams, EncodeStreams, LinearStreams, LoadStreams, PART, PoolStreams,
+                PredictStreams, ProductOfRow, ProductOfRows, Row, STREAM_TILE,
+            },
+            maximum::{EncodePointsOfStreams, Largest},
+            motion::Motion,
+        },
+        motion, scaling,
+    },
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
     training::{InTraining, Matrix},
 };
@@ -27,18 +39,12 @@ use crate::{
 pub const MOST_STREAMS: usize = 64;
 /// Rows that graphs are made for.
 const SIZES: [usize; 5] = [1, 8, 16, 32, MOST_STREAMS];
-/// Particles of a block of the encoder, `STREAM_TILE` of the kernels.
-const TILE: usize = 64;
-/// Rows of a matrix in a part of a product, `PART` of the kernels.
-const PART: usize = 64;
 /// Rows that `product_of_rows` takes at once.
 const ROWS: usize = 8;
 /// Streams whose particles' outputs are in memory at the same time, for a pooling by the maximum.
 const GROUP: usize = 8;
 /// Numbers in 256 bytes: products of memory that is aligned alike are computed alike.
 const ALIGNMENT: usize = 64;
-/// Numbers of a body.
-const BODY: usize = size_of::<Body>() / size_of::<f32>();
 
 /// Streams from which on several threads copy frames.
 const WORTH_THREADS: usize = 4;
@@ -50,23 +56,23 @@ pub struct Inference {
     device: Arc<dyn Device>,
     constants: Constants,
     layout: Layout,
-    /// `struct Motion` of the kernels.
-    motion: [[f32; AXES]; 6],
-    weights: Buffer,
-    scaling: Buffer,
-    rows: Buffer,
-    frames: Buffer,
+    motion: Motion,
+    weights: List<f32>,
+    scaling: List<Scaling>,
+    rows: List<Row>,
+    /// `[B, N]`.
+    frames: List<Body>,
     /// States before the frame, `[layers, B, HP]`.
-    before: Buffer,
-    sums: Buffer,
-    pooled: Buffer,
+    before: List<f32>,
+    sums: List<f32>,
+    pooled: List<f32>,
     /// Of the core, `[B, IP]`.
-    input: Buffer,
+    input: List<f32>,
     /// For a pooling by the maximum.
     points: Option<Points>,
-    signal: Buffer,
+    signal: List<f32>,
     /// Parts of a product, and of one with the states.
-    parts: [Buffer; 2],
+    parts: [List<f32>; 2],
     host_rows: HostBuffer,
     host_frames: HostBuffer,
     host_next: HostBuffer,
@@ -92,7 +98,7 @@ impl Inference {
         let constants = Constants::of(description)?;
         let layout = Layout::new(description, &constants);
         let (particles, wide) = (constants.particles, constants.hidden_columns());
-        let numbers = |count: usize| device.allocate(4 * count);
+        let numbers = |count: usize| List::new(&*device, count);
         let parts = layout
             .packing
             .matrices()
@@ -102,11 +108,11 @@ impl Inference {
         let recurrent = layout.core.iter().any(|(_, recurrent)| recurrent.is_some());
         let inference = Self {
             weights: numbers(layout.packing.size)?,
-            scaling: numbers(2 * BODY)?,
-            rows: numbers(MOST_STREAMS * 6)?,
-            frames: numbers(MOST_STREAMS * particles * BODY)?,
+            scaling: List::of(&*device, &[scaling(description)])?,
+            rows: List::new(&*device, MOST_STREAMS)?,
+            frames: List::new(&*device, MOST_STREAMS * particles)?,
             before: numbers(layout.core.len() * MOST_STREAMS * wide)?,
-            sums: numbers(MOST_STREAMS * particles.div_ceil(TILE) * constants.encoder)?,
+            sums: numbers(MOST_STREAMS * particles.div_ceil(STREAM_TILE) * constants.encoder)?,
             pooled: numbers(MOST_STREAMS * constants.pooled_columns())?,
             input: numbers(MOST_STREAMS * constants.input_columns())?,
             points: constants
@@ -115,7 +121,7 @@ impl Inference {
                 .transpose()?,
             signal: numbers(MOST_STREAMS * wide)?,
             parts: [numbers(parts)?, numbers(if recurrent { parts } else { 0 })?],
-            host_rows: device.allocate_host(MOST_STREAMS * size_of::<[u64; 3]>())?,
+            host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
             host_frames: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             host_next: device.allocate_host(MOST_STREAMS * particles * size_of::<Body>())?,
             idle: Memory::new(device.clone(), &constants, &layout, &vec![0; particles])?,
@@ -126,9 +132,8 @@ impl Inference {
             layout,
             device,
         };
-        let Self { device, weights, scaling: scales, layout, .. } = &inference;
+        let Self { device, weights, layout, .. } = &inference;
         device.write(weights, 0, bytemuck::cast_slice(&layout.pack(tensors)))?;
-        device.write(scales, 0, bytemuck::cast_slice(&scaling(description)))?;
         Ok(inference)
     }
 
@@ -148,7 +153,7 @@ impl Inference {
         {
             // SAFETY: the last step has finished, and nothing else uses this memory.
             let (table, frames) =
-                unsafe { (self.host_rows.slice::<[u64; 3]>(), self.host_frames.slice::<Body>()) };
+                unsafe { (self.host_rows.slice::<Row>(), self.host_frames.slice::<Body>()) };
             let memories = steps.iter().map(|(memory, ..)| *memory);
             for (row, memory) in
                 table.iter_mut().zip(memories.chain(std::iter::repeat(&self.idle))).take(rows)
@@ -180,90 +185,81 @@ impl Inference {
         self.device.finish()
     }
 
-    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
-        // SAFETY: every call of this file passes the kernel's parameters in type and order, and buffers that `new` has made
-        // for these shapes.
-        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    fn launch(&self, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: every call of this file passes buffers that `new` has made for these shapes.
+        unsafe { self.device.launch(Queue::Main, shape, &kernel) }
     }
 
-    fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address().plus(matrix.first)
+    fn weight(&self, matrix: &Matrix) -> Pointer<f32> {
+        self.weights.pointer().plus(matrix.first)
     }
 
     /// The parts of `left W`, and how many there are.
     fn product(
         &self,
         matrix: &Matrix,
-        left: Address,
-        parts: &Buffer,
+        left: Pointer<f32>,
+        parts: &List<f32>,
         rows: usize,
     ) -> Result<usize> {
-        let count = matrix.rows.div_ceil(PART);
-        let (kernel, groups) = match rows {
-            1 => (Kernel::ProductOfRow, 1),
-            _ => (Kernel::ProductOfRows, rows.div_ceil(ROWS)),
+        let number = matrix.rows.div_ceil(PART);
+        let (w, parts) = (self.weight(matrix), parts.pointer());
+        let [inner, columns, batch] = [matrix.rows, matrix.columns, rows].map(count);
+        let shape = |groups| {
+            let grid = [matrix.columns.div_ceil(128), number, groups];
+            Shape { grid, block: [256, 1], shared: 0 }
         };
-        let grid = [matrix.columns.div_ceil(128), count, groups];
-        self.launch(
-            kernel,
-            Shape { grid, block: [256, 1], shared: 0 },
-            &[
-                left.into(),
-                self.weight(matrix).into(),
-                parts.address().into(),
-                matrix.rows.into(),
-                matrix.columns.into(),
-                rows.into(),
-            ],
-        )?;
-        Ok(count)
+        match rows {
+            1 => self.launch(shape(1), ProductOfRow { left, w, parts, inner, columns, batch })?,
+            _ => self.launch(
+                shape(rows.div_ceil(ROWS)),
+                ProductOfRows { left, w, parts, inner, columns, batch },
+            )?,
+        }
+        Ok(number)
     }
 
     /// A linear layer; rows of its outputs are `stride` numbers apart.
     fn linear(
         &self,
         matrix: &Matrix,
-        [left, outputs]: [Address; 2],
+        [left, signal]: [Pointer<f32>; 2],
         stride: usize,
         active: bool,
         rows: usize,
     ) -> Result<()> {
         let [parts, _] = &self.parts;
-        let count = self.product(matrix, left, parts, rows)?;
+        let number = self.product(matrix, left, parts, rows)?;
         self.launch(
-            Kernel::LinearStreams,
             self.units(rows),
-            &[
-                parts.address().into(),
-                outputs.into(),
-                count.into(),
-                usize::from(active).into(),
-                stride.into(),
-            ],
+            LinearStreams {
+                parts: parts.pointer(),
+                signal,
+                count: count(number),
+                active: active.into(),
+                stride: count(stride),
+            },
         )
     }
 
     /// The means of the particles, through the second Linear.
     fn means(&self, rows: usize) -> Result<()> {
         let Constants { encoder, particles, .. } = self.constants;
-        let chunks = particles.div_ceil(TILE);
+        let chunks = particles.div_ceil(STREAM_TILE);
         self.launch(
-            Kernel::EncodeStreams,
             Shape { grid: [chunks, rows, encoder.div_ceil(256)], block: [256, 1], shared: 0 },
-            &[
-                self.frames.address().into(),
-                self.rows.address().into(),
-                self.weight(&self.layout.points).into(),
-                self.scaling.address().into(),
-                self.sums.address().into(),
-            ],
+            EncodeStreams {
+                frames: self.frames.pointer(),
+                rows: self.rows.pointer(),
+                w: self.weight(&self.layout.points),
+                scaling: self.scaling.pointer(),
+                sums: self.sums.pointer(),
+            },
         )?;
-        self.launch(
-            Kernel::PoolStreams,
-            Shape::new(rows, 1, 256),
-            &[self.sums.address().into(), self.pooled.address().into(), chunks.into()],
-        )?;
-        let ends = [self.pooled.address(), self.input.address()];
+        let (sums, pooled) = (self.sums.pointer(), self.pooled.pointer());
+        let pool = PoolStreams { sums, pooled, chunks: count(chunks) };
+        self.launch(Shape::new(rows, 1, 256), pool)?;
+        let ends = [pooled, self.input.pointer()];
         self.linear(&self.layout.pooled, ends, self.constants.input_columns(), false, rows)
     }
 
@@ -273,16 +269,15 @@ impl Inference {
         for first in (0..rows).step_by(GROUP) {
             let rows = GROUP.min(rows - first);
             self.launch(
-                Kernel::EncodePointsOfStreams,
                 points.shape(particles, rows),
-                &[
-                    self.frames.address().plus(first * particles * BODY).into(),
-                    self.rows.address().plus_bytes(first * size_of::<[u64; 3]>()).into(),
-                    self.weight(&self.layout.points).into(),
-                    self.scaling.address().into(),
-                    points.inputs.address().into(),
-                    (points.strides[0] as u64).into(),
-                ],
+                EncodePointsOfStreams {
+                    frames: self.frames.pointer().plus(first * particles),
+                    rows: self.rows.pointer().plus(first),
+                    w: self.weight(&self.layout.points),
+                    scaling: self.scaling.pointer(),
+                    points: points.inputs.pointer(),
+                    stride: count(points.strides[0]),
+                },
             )?;
             // A product for each stream: its bits do not depend on their number.
             for row in 0..rows {
@@ -291,16 +286,14 @@ impl Inference {
                 unsafe { self.device.multiply(Queue::Main, &product) }?;
             }
             let columns = self.constants.input_columns();
-            let input = self.input.address().plus(first * columns);
             self.launch(
-                Kernel::Largest,
                 Points::largest(&self.constants, rows),
-                &[
-                    points.outputs.address().into(),
-                    (points.strides[1] as u64).into(),
-                    input.into(),
-                    Address::NULL.into(),
-                ],
+                Largest {
+                    outputs: points.outputs.pointer(),
+                    stride: count(points.strides[1]),
+                    input: self.input.pointer().plus(first * columns),
+                    which: Pointer::NULL,
+                },
             )?;
         }
         Ok(())
@@ -315,18 +308,17 @@ impl Inference {
     fn launch_all(&self, rows: usize) -> Result<()> {
         let particles = self.constants.particles;
         let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
-        let signal = self.signal.address();
+        let signal = self.signal.pointer();
         self.launch(
-            Kernel::LoadStreams,
             Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
-            &[
-                self.host_rows.address().into(),
-                self.host_frames.address().into(),
-                self.rows.address().into(),
-                self.frames.address().into(),
-                self.before.address().into(),
-                layers.into(),
-            ],
+            LoadStreams {
+                host_rows: self.host_rows.pointer(),
+                host_frames: self.host_frames.pointer(),
+                rows: self.rows.pointer(),
+                frames: self.frames.pointer(),
+                before: self.before.pointer(),
+                layers: count(layers),
+            },
         )?;
         if self.constants.mean() {
             self.means(rows)?;
@@ -337,46 +329,44 @@ impl Inference {
         (0..layers).try_for_each(|layer| self.core_layer(layer, rows))?;
         self.linear(&self.layout.mixer, [signal, signal], wide, true, rows)?;
         let [parts, _] = &self.parts;
-        let count = self.product(&self.layout.decoder, signal, parts, rows)?;
+        let number = self.product(&self.layout.decoder, signal, parts, rows)?;
         self.launch(
-            Kernel::PredictStreams,
             Shape::new(particles.div_ceil(256), rows, 256),
-            &[
-                parts.address().into(),
-                self.frames.address().into(),
-                self.host_next.address().into(),
-                count.into(),
-                Argument::from_bytes(bytemuck::cast_slice(&self.motion)),
-            ],
+            PredictStreams {
+                parts: parts.pointer(),
+                frames: self.frames.pointer(),
+                host_frames: self.host_next.pointer(),
+                count: count(number),
+                motion: self.motion,
+            },
         )
     }
 
     fn core_layer(&self, layer: usize, rows: usize) -> Result<()> {
         let (matrix, recurrent) = &self.layout.core[layer];
-        let signal = self.signal.address();
-        let input = if layer == 0 { self.input.address() } else { signal };
+        let signal = self.signal.pointer();
+        let input = if layer == 0 { self.input.pointer() } else { signal };
         let wide = self.constants.hidden_columns();
         let [parts, recurrent_parts] = &self.parts;
-        let before = self.before.address().plus(layer * rows * wide);
-        let count = self.product(matrix, input, parts, rows)?;
-        let recurrent_count = match recurrent {
+        let before = self.before.pointer().plus(layer * rows * wide);
+        let number = self.product(matrix, input, parts, rows)?;
+        let recurrent_number = match recurrent {
             Some(recurrent) => self.product(recurrent, before, recurrent_parts, rows)?,
             None => 0,
         };
         self.launch(
-            Kernel::CellsStreams,
             self.units(rows),
-            &[
-                parts.address().into(),
-                recurrent_parts.address().into(),
-                before.into(),
-                self.rows.address().into(),
-                signal.into(),
-                count.into(),
-                recurrent_count.into(),
-                layer.into(),
-                self.layout.core.len().into(),
-            ],
+            CellsStreams {
+                parts: parts.pointer(),
+                recurrent: recurrent_parts.pointer(),
+                before,
+                rows: self.rows.pointer(),
+                signal,
+                count: count(number),
+                recurrent_count: count(recurrent_number),
+                layer: count(layer),
+                layers: count(self.layout.core.len()),
+            },
         )
     }
 }

@@ -1,21 +1,18 @@
 //! Pooling by the maximum: the second Linear's outputs for each particle of a few windows at a time.
 
 use crate::{
-    device::{Address, Buffer, Device, Factor, Product, Shape},
+    device::{Device, Factor, List, Pointer, Product, Shape},
     error::Result,
-    kernels::{Constants, round_up},
+    kernels::{Constants, frame::maximum::POINT_TILE, round_up},
     training::Matrix,
 };
-
-/// Particles of a block, `POINT_TILE` of the kernels.
-const TILE: usize = 16;
 
 /// The second Linear's inputs and outputs for all particles of some windows.
 pub(super) struct Points {
     /// `[rows, N, EP]`.
-    pub inputs: Buffer,
+    pub inputs: List<f32>,
     /// `[rows, N, HP]`.
-    pub outputs: Buffer,
+    pub outputs: List<f32>,
     /// Numbers from a window's inputs, and from its outputs, to those of the next one.
     pub strides: [usize; 2],
 }
@@ -29,7 +26,7 @@ impl Points {
         alignment: usize,
     ) -> Result<Self> {
         let strides = Self::strides(constants).map(|stride| round_up(stride, alignment));
-        let [inputs, outputs] = strides.map(|stride| device.allocate(4 * rows * stride));
+        let [inputs, outputs] = strides.map(|stride| List::new(device, rows * stride));
         Ok(Self { inputs: inputs?, outputs: outputs?, strides })
     }
 
@@ -45,7 +42,7 @@ impl Points {
 
     /// Blocks over the particles of windows.
     pub fn shape(&self, particles: usize, rows: usize) -> Shape {
-        Shape::new(particles.div_ceil(TILE), rows, 256)
+        Shape::new(particles.div_ceil(POINT_TILE), rows, 256)
     }
 
     /// Blocks over the units of the core's input that come from maxima, and their ones.
@@ -61,13 +58,13 @@ impl Points {
         matrix: &Matrix,
         row: usize,
         particles: usize,
-        weights: &Buffer,
+        weights: &List<f32>,
     ) -> Product {
-        let at = |buffer: &Buffer, stride: usize| buffer.address().plus(row * stride);
-        let factor = |at: Address, stride| Factor { at, stride, transposed: false };
+        let at = |list: &List<f32>, stride: usize| list.pointer().plus(row * stride);
+        let factor = |at: Pointer<f32>, stride| Factor { at, stride, transposed: false };
         Product {
             left: factor(at(&self.inputs, self.strides[0]), matrix.rows),
-            right: factor(weights.address().plus(matrix.first), matrix.columns),
+            right: factor(weights.pointer().plus(matrix.first), matrix.columns),
             result: at(&self.outputs, self.strides[1]),
             stride: matrix.columns,
             sizes: [particles, matrix.rows, matrix.columns],

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use super::{data::by_material, layout::Layout};
 use crate::{
-    device::{Address, Buffer, Device},
+    device::{Buffer, Device, Pointer},
     error::Result,
-    kernels::Constants,
+    kernels::{Constants, frame::inference::Row},
     streams::StreamMemory,
 };
 
@@ -42,13 +42,11 @@ impl Memory {
         Ok(memory)
     }
 
-    fn order(&self) -> Address {
-        self.buffer.address().plus(self.layers * self.widths[0])
-    }
-
-    /// `struct Row` of the kernels.
-    pub(super) fn row(&self) -> [u64; 3] {
-        [self.buffer.address(), self.order(), self.order().plus(self.particles)].map(|at| at.0)
+    /// As the kernels have it.
+    pub(super) fn row(&self) -> Row {
+        let state = Pointer::<f32>::at(self.buffer.address());
+        let order = state.plus(self.layers * self.widths[0]).cast();
+        Row { state, order, segments: order.plus(self.particles) }
     }
 }
 

@@ -24,43 +24,49 @@ use super::{
     layout::Layout,
 };
 use crate::{
-    device::{Buffer, Device, MOST_BLOCKS, Queue},
+    device::{Device, List, MOST_BLOCKS, Queue, count},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::{AXES, Constants, Kernel, MATERIALS, motion, scaling},
+    kernels::{
+        AXES, Constants,
+        frame::{
+            encoder::{SUMS, Scaling},
+            loss::Grid,
+            motion::Motion,
+            windows::{Disturb, Observe},
+        },
+        motion, scaling,
+    },
+    streams::Body,
     training::{Batch, GROUP, InTraining, Optimizer, Settings, Tables},
 };
 use maximum::Maximum;
 
-/// Numbers of a body.
-const BODY: usize = 2 * AXES;
-/// Sums of the encoder for each of its units, `SUMS` of the kernels.
-const SUMS: usize = BODY + MATERIALS + 1;
 /// Nodes an axis of a density map that fit into shared memory.
 const MOST_NODES: usize = 110;
 
 /// A layer of the core in the memory of the device; `T` frames of `B` windows.
 struct LayerMemory {
     /// Gates, later gradients by them, `[T, B, gates * HP]`.
-    sums: Buffer,
+    sums: List<f32>,
     /// States, the one before the first frame first: outputs, then the cells of LSTM, `[states, T + 1, B, HP]`.
-    states: Buffer,
+    states: List<f32>,
     /// If the core has recurrent weights: gates from the last output, later gradients by them, `[T, B, gates * HP]`.
-    recurrent: Option<Buffer>,
+    recurrent: Option<List<f32>>,
     /// Outputs after dropout, `[T, B, HP]`; without dropout the states.
-    dropped: Option<Buffer>,
+    dropped: Option<List<f32>>,
     /// Gradient by the outputs, `[T, B, HP]`.
-    gradient: Buffer,
+    gradient: List<f32>,
     /// Gradient by the last state from later frames, `[states, B, HP]`.
-    carried: Buffer,
+    carried: List<f32>,
 }
 
 /// Windows that are fetched out of the memory of the host.
 struct Staging {
     /// `sources` of the kernel.
-    sources: Buffer,
+    sources: List<u64>,
     /// Windows of two steps, in turn, `[2, B, W + K, N]`.
-    bodies: Buffer,
+    bodies: List<Body>,
 }
 
 /// Training of a frame model on a device.
@@ -72,36 +78,36 @@ pub struct Training {
     settings: Settings,
     constants: Constants,
     layout: Layout,
-    /// `struct Motion` of the kernels.
-    motion: [[f32; AXES]; 6],
+    motion: Motion,
     /// Left plus right wall (domain lengths).
     sides: f32,
-    /// The density grid's first node and nodes per domain length, for each axis.
-    grid: [[f32; AXES]; 2],
+    /// The density grid.
+    grid: Grid,
     /// Blocks that share the particles of a window.
     chunks: usize,
 
     optimizer: Optimizer,
     tables: Tables,
-    scaling: Buffer,
+    scaling: List<Scaling>,
 
-    states: Buffer,
-    sums: Buffer,
-    pooled: Buffer,
+    states: List<Body>,
+    sums: List<f32>,
+    pooled: List<f32>,
     maximum: Option<Maximum>,
-    input: Buffer,
+    input: List<f32>,
     layers: Vec<LayerMemory>,
-    mixed: Buffer,
-    output: Buffer,
+    mixed: List<f32>,
+    output: List<f32>,
 
-    squares: Buffer,
-    densities: Buffer,
-    density_gradient: Option<Buffer>,
-    scales: Buffer,
-    carried: Buffer,
-    d_mixed: Buffer,
-    d_input: Buffer,
-    d_pooled: Buffer,
+    squares: List<f32>,
+    densities: List<f32>,
+    density_gradient: Option<List<f32>>,
+    scales: List<f32>,
+    /// Gradient by the frame before, `[B, N]`.
+    carried: List<Body>,
+    d_mixed: List<f32>,
+    d_input: List<f32>,
+    d_pooled: List<f32>,
 
     graph: Graphs<()>,
 }
@@ -153,7 +159,7 @@ impl Training {
         let chunks = (512usize.div_ceil(batch)).clamp(1, particles.div_ceil(128));
         let core = description.core;
 
-        let numbers = |count: usize| device.allocate(4 * count);
+        let numbers = |count: usize| List::new(&*device, count);
         let optional = |is: bool, count: usize| is.then(|| numbers(count)).transpose();
         let recurrent = core.recurrent_part().is_some();
         let layer = || -> Result<LayerMemory> {
@@ -181,16 +187,16 @@ impl Training {
         let staging = match &store.bodies {
             Bodies::Device(_) => None,
             Bodies::Host(_) => Some(Staging {
-                sources: device.allocate(8 * (1 + GROUP * batch))?,
-                bodies: numbers(2 * batch * (warm_up + unroll) * particles * BODY)?,
+                sources: List::new(&*device, 1 + GROUP * batch)?,
+                bodies: List::new(&*device, 2 * batch * (warm_up + unroll) * particles)?,
             }),
         };
-        let training = Self {
+        Ok(Self {
             staging,
             optimizer: Optimizer::new(&device, &layout.packing, settings)?,
             tables: Tables::new(&device, settings, settings.relative)?,
-            scaling: numbers(2 * BODY)?,
-            states: numbers(rows * particles * BODY)?,
+            scaling: List::of(&*device, &[scaling(description)])?,
+            states: List::new(&*device, rows * particles)?,
             sums: numbers(if constants.mean() {
                 rows * chunks * SUMS * constants.encoder
             } else {
@@ -209,23 +215,25 @@ impl Training {
             densities: numbers(unroll * batch)?,
             density_gradient: optional(density, unroll * batch * particles * AXES)?,
             scales: numbers(2 * batch)?,
-            carried: numbers(batch * particles * BODY)?,
+            carried: List::new(&*device, batch * particles)?,
             d_mixed: numbers(decoded_rows * wide)?,
             d_input: numbers(rows * constants.input_columns())?,
             d_pooled: numbers(rows * constants.pooled_columns())?,
             graph: Graphs::new(1),
             motion: motion(description),
             sides: description.domain.lower[0] + description.domain.upper[0],
-            grid: [description.domain.lower, [cell(0), cell(1)]],
+            grid: Grid {
+                least: description.domain.lower,
+                inverse_cell: [cell(0), cell(1)],
+                nodes: count(settings.density_nodes),
+            },
             chunks,
             settings: settings.clone(),
             layout,
             constants,
             store,
             device,
-        };
-        training.device.write(&training.scaling, 0, bytemuck::cast_slice(&scaling(description)))?;
-        Ok(training)
+        })
     }
 
     /// Sets weights of squared errors of x, y, vx, vy that hold for all batches, the same for every frame, window and
@@ -286,29 +294,27 @@ impl Training {
             self.fetch(Queue::Fetch, 1)?;
         }
         self.launch(
-            Kernel::Observe,
             self.particles(warm_up),
-            &[
-                self.bodies().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.states.address().into(),
-                batch.into(),
-                self.sides.into(),
-            ],
+            Observe {
+                store: self.bodies(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                states: self.states.pointer(),
+                batch: count(batch),
+                sides: self.sides,
+            },
         )?;
         let [positions, velocities] = self.settings.noise;
         if positions > 0.0 || velocities > 0.0 {
             self.launch(
-                Kernel::Disturb,
                 self.particles(1),
-                &[
-                    self.tables.windows.address().into(),
-                    self.tables.progress.address().into(),
-                    self.at(&self.states, warm_up - 1, self.constants.particles * BODY).into(),
-                    positions.into(),
-                    velocities.into(),
-                ],
+                Disturb {
+                    windows: self.tables.windows.pointer(),
+                    progress: self.tables.progress.pointer(),
+                    states: self.at(&self.states, warm_up - 1, self.constants.particles),
+                    positions,
+                    velocities,
+                },
             )?;
         }
         let segments: Vec<(usize, usize)> =

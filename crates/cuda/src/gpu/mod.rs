@@ -19,6 +19,7 @@ pub use eddy_inference::engine::Precision;
 
 use std::{
     collections::{BTreeMap, HashMap},
+    ffi::c_void,
     path::Path,
     sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
 };
@@ -31,11 +32,9 @@ use cudarc::{
 };
 
 use crate::{
-    device::{
-        Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Rank, Recording, Shape,
-    },
+    device::{Buffer, Device, HostBuffer, Pointer, Product, Queue, Rank, Recording, Shape},
     error::{Context as _, CudaError, Result},
-    kernels::{Kernel, Program},
+    kernels::Program,
 };
 use peers::{GroupId, Peers};
 use products::Products;
@@ -75,7 +74,7 @@ pub struct Gpu {
     peers: Option<Peers>,
     context: Arc<CudaContext>,
     streams: [Arc<CudaStream>; 4],
-    kernels: HashMap<Kernel, CudaFunction>,
+    kernels: HashMap<&'static str, CudaFunction>,
     products: Products,
     recordings: Recordings,
 }
@@ -127,7 +126,7 @@ impl Gpu {
         };
         let mut kernels = HashMap::new();
         for kernel in program.kernels() {
-            let function = module.load_function(kernel.name()).context("cuModuleGetFunction")?;
+            let function = module.load_function(kernel).context("cuModuleGetFunction")?;
             kernels.insert(kernel, function);
         }
         let products = Products::new(&streams[0], precision, &recordings)?;
@@ -189,10 +188,10 @@ impl Gpu {
     }
 
     /// Lets the kernel have that much dynamic shared memory.
-    fn allow_shared(&self, kernel: Kernel, bytes: usize) -> Result<()> {
+    fn allow_shared(&self, kernel: &str, bytes: usize) -> Result<()> {
         use sys::CUfunction_attribute_enum::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES;
         let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
-        self.kernels[&kernel]
+        self.kernels[kernel]
             .set_attribute(CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, bytes)
             .context("cuFuncSetAttribute")
     }
@@ -230,7 +229,7 @@ impl Device for Gpu {
             }
             memory => memory.context("cuMemAlloc")?,
         };
-        let address = Address(memory.device_ptr(&self.streams[0]).0);
+        let address = memory.device_ptr(&self.streams[0]).0;
         // SAFETY: the driver has given as many bytes, which are freed with their owner.
         Ok(unsafe { Buffer::new(address, bytes, Memory::new(memory, &self.recordings)) })
     }
@@ -250,7 +249,7 @@ impl Device for Gpu {
         // address space of 64-bit systems the device has them at the same address.
         unsafe {
             memory.memory.cast::<u8>().write_bytes(0, bytes);
-            Ok(HostBuffer::new(Address(memory.memory.expose_provenance() as u64), bytes, memory))
+            Ok(HostBuffer::new(memory.memory.expose_provenance() as u64, bytes, memory))
         }
     }
 
@@ -268,7 +267,7 @@ impl Device for Gpu {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // In the main stream: a copy in the default stream is not ordered before its launches.
         // SAFETY: `part` checks the length; the bytes live until the stream is done.
-        unsafe { result::memcpy_htod_async(to.0, bytes, self.streams[0].cu_stream()) }
+        unsafe { result::memcpy_htod_async(to, bytes, self.streams[0].cu_stream()) }
             .context("cuMemcpyHtoDAsync")?;
         self.streams[0].synchronize().context("cuStreamSynchronize")
     }
@@ -277,7 +276,7 @@ impl Device for Gpu {
         let from = from.part(offset, bytes.len());
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // SAFETY: as above.
-        unsafe { result::memcpy_dtoh_async(bytes, from.0, self.streams[0].cu_stream()) }
+        unsafe { result::memcpy_dtoh_async(bytes, from, self.streams[0].cu_stream()) }
             .context("cuMemcpyDtoHAsync")?;
         self.streams[0].synchronize().context("cuStreamSynchronize")
     }
@@ -287,47 +286,43 @@ impl Device for Gpu {
         let bytes = from.bytes();
         let (to, from) = (to.part(0, bytes), from.part(0, bytes));
         // SAFETY: `part` checks the length.
-        unsafe { result::memcpy_dtod_async(to.0, from.0, bytes, self.streams[0].cu_stream()) }
+        unsafe { result::memcpy_dtod_async(to, from, bytes, self.streams[0].cu_stream()) }
             .context("cuMemcpyDtoDAsync")
     }
 
     fn clear(&self, queue: Queue, buffer: &Buffer) -> Result<()> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
-        let (at, bytes) = (buffer.address().0, buffer.bytes());
+        let (at, bytes) = (buffer.address(), buffer.bytes());
         // SAFETY: the buffer has that many bytes.
         unsafe { result::memset_d8_async(at, 0, bytes, self.stream(queue).cu_stream()) }
             .context("cuMemsetD8Async")
     }
 
-    unsafe fn launch(
+    unsafe fn launch_named(
         &self,
         queue: Queue,
-        kernel: Kernel,
+        kernel: &'static str,
         shape: Shape,
-        arguments: &[Argument],
+        arguments: &mut [*mut c_void],
     ) -> Result<()> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         if shape.shared > SHARED_LIMIT {
             self.allow_shared(kernel, shape.shared)?;
         }
-        let mut pointers: Vec<_> = arguments
-            .iter()
-            .map(|argument| std::ptr::from_ref(argument).cast_mut().cast())
-            .collect();
         let [x, y, z] = shape.grid.map(|size| size as u32);
         let [threads, rows] = shape.block.map(|size| size as u32);
         // SAFETY: the caller's promise; the driver copies the arguments before it returns.
         unsafe {
             result::launch_kernel(
-                self.kernels[&kernel].cu_function(),
+                self.kernels[kernel].cu_function(),
                 (x, y, z),
                 (threads, rows, 1),
                 shape.shared as u32,
                 self.stream(queue).cu_stream(),
-                &mut pointers,
+                arguments,
             )
         }
-        .context(kernel.name())
+        .context(kernel)
     }
 
     unsafe fn multiply(&self, queue: Queue, product: &Product) -> Result<()> {
@@ -350,7 +345,7 @@ impl Device for Gpu {
         }
     }
 
-    unsafe fn average(&self, queue: Queue, at: Address, numbers: usize) -> Result<()> {
+    unsafe fn average(&self, queue: Queue, at: Pointer<f32>, numbers: usize) -> Result<()> {
         let Some(peers) = &self.peers else { return Ok(()) };
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
         // SAFETY: the caller's promise.
@@ -409,7 +404,7 @@ impl Drop for Memory {
 
 /// Memory of the host that the driver has pinned.
 struct Pinned {
-    memory: *mut std::ffi::c_void,
+    memory: *mut c_void,
     context: Arc<CudaContext>,
     recordings: Recordings,
 }

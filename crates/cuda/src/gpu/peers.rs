@@ -13,7 +13,7 @@ use std::{
 use libloading::Library;
 
 use crate::{
-    device::{Address, Rank},
+    device::{Pointer, Rank},
     error::{CudaError, Result},
 };
 
@@ -140,7 +140,7 @@ impl Peers {
     /// The memory must have as many, and `stream` be one of this GPU.
     pub(super) unsafe fn average(
         &self,
-        at: Address,
+        at: Pointer<f32>,
         numbers: usize,
         stream: *mut c_void,
     ) -> Result<()> {
@@ -148,7 +148,7 @@ impl Peers {
             let reason = "another GPU of the group has failed".to_owned();
             return Err(CudaError::Call { call: "ncclAllReduce", reason });
         }
-        let place = at.0 as *mut c_void;
+        let place = at.address() as *mut c_void;
         // SAFETY: the caller's promise.
         let status = unsafe {
             (self.nccl.all_reduce)(

@@ -11,7 +11,7 @@ use cudarc::{
 
 use super::{Memory, Precision, Recordings};
 use crate::{
-    device::{Address, Factor, Product},
+    device::{Factor, Product},
     error::{Context as _, CudaError, Result},
 };
 
@@ -33,7 +33,8 @@ struct Plan {
 
 /// What all addresses of a product are multiples of (bytes): a power of two, at most 256.
 fn alignment(product: &Product) -> u32 {
-    let addresses = product.left.at.0 | product.right.at.0 | product.result.0;
+    let addresses =
+        product.left.at.address() | product.right.at.address() | product.result.address();
     1 << addresses.trailing_zeros().min(8)
 }
 
@@ -42,7 +43,7 @@ pub(super) struct Products {
     handle: sys::cublasLtHandle_t,
     precision: Precision,
     /// One for each stream.
-    workspaces: [Address; 2],
+    workspaces: [u64; 2],
     _memory: [Memory; 2],
     recordings: Recordings,
     plans: Mutex<HashMap<Key, Plan>>,
@@ -83,7 +84,7 @@ impl Products {
         Ok(Self {
             handle: lt::create_handle().context("cublasLtCreate")?,
             precision,
-            workspaces: memory.each_ref().map(|slice| Address(slice.device_ptr(stream).0)),
+            workspaces: memory.each_ref().map(|slice| slice.device_ptr(stream).0),
             _memory: memory.map(|slice| Memory::new(slice, recordings)),
             recordings: recordings.clone(),
             plans: Mutex::default(),
@@ -143,16 +144,16 @@ impl Products {
                 plan.operation,
                 (&raw const one).cast(),
                 (&raw const add).cast(),
-                pointer(product.right.at.0),
+                pointer(product.right.at.address()),
                 plan.right,
-                pointer(product.left.at.0),
+                pointer(product.left.at.address()),
                 plan.left,
-                pointer(product.result.0),
+                pointer(product.result.address()),
                 plan.result,
-                pointer(product.result.0),
+                pointer(product.result.address()),
                 plan.result,
                 &raw const plan.algorithm,
-                pointer(self.workspaces[workspace].0),
+                pointer(self.workspaces[workspace]),
                 WORKSPACE,
                 stream.cu_stream().cast(),
             )

@@ -30,15 +30,29 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    lattice::ELASTIC_THREADS,
-    layout::{Constants, Layout, NODE_THREADS},
-    stream::{Memory, RULES, Row, Scales, Size},
+    layout::{Constants, Layout, NODE_THREADS, NodeLayer},
+    stream::{Memory, Scales, Size},
 };
 use crate::{
-    device::{Argument, Buffer, Device, HostBuffer, Queue, Shape},
+    device::{Device, HostBuffer, Kernel, List, Queue, Shape, count},
     error::Result,
     graphs::Graphs,
-    kernels::Kernel,
+    kernels::particle::{
+        elastic::{ELASTIC_THREADS, ParticleElastic},
+        layers::{
+            ParticleDecode, ParticleEncode, ParticleGridLayer, ParticleStore, ParticleToNodes,
+            THREADS as TILE_THREADS,
+        },
+        nodes::{
+            ParticleChunks, ParticleLoad, ParticleRank, ParticleScan, ParticleScatter,
+            SCAN_THREADS, Stream,
+        },
+        rules::{
+            ParticleAreaFill, ParticleAreaMark, ParticleAreaShift, ParticleAreaSolve,
+            ParticleAreaSweep, ParticleBodiesFlight, ParticleBodiesJoin, ParticleBodiesNumber,
+            ParticleBodiesRest, ParticleBodiesSum, ParticleShapeLimit, ParticleShapeRelax, Rules,
+        },
+    },
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
 };
 
@@ -50,10 +64,6 @@ const SCRATCH: usize = 4 << 30;
 const GRAPHS: usize = 64;
 /// Blocks of a stage, at most about so many for all streams; each goes on with further tiles.
 const BLOCKS: usize = 16384;
-/// Threads of a block of the encoder and the decoder, `THREADS` of the kernels.
-const TILE_THREADS: usize = 128;
-/// Threads of a block of the running sums, `SCAN_THREADS` of the kernels.
-const SCAN_THREADS: usize = 512;
 
 /// Threads of a block that solves the area rule's pressure, and its shared memory at most (bytes).
 const SOLVE_THREADS: usize = 512;
@@ -93,15 +103,15 @@ pub struct Inference {
     ballistic: Ballistic,
     /// The domain in training.
     domain: Domain,
-    weights: Buffer,
-    /// `struct Rules` of the kernels.
-    rules: Buffer,
+    weights: List<f32>,
+    /// The constants of the rules.
+    rules: List<Rules>,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
-    rows: Buffer,
+    rows: List<Stream>,
     /// Memory that is zero between two steps, and scratch memory.
-    zeros: Buffer,
-    scratch: Buffer,
+    zeros: List<u32>,
+    scratch: List<u32>,
     /// Frames and predictions.
     host: [HostBuffer; 2],
     /// Bodies that there is room for in them.
@@ -135,23 +145,25 @@ impl Inference {
         let grid = description.grid.as_ref();
         let width = grid.map_or(1.0, |grid| grid.cell_width);
         let (slowest, fastest) = scales::velocity_limits(&description.normalization);
-        let inference = Self {
-            scales: Scales {
-                levels: constants.levels(),
-                width,
-                unit: scales::velocity_unit(&description.normalization),
-                speeds: [slowest, fastest],
-                rules: description.rules,
-                spacing: grid.map_or(1.0, |grid| grid.spacing),
-            },
-            ballistic: Ballistic::new(description),
+        let scales = Scales {
+            levels: constants.levels(),
+            width,
+            unit: scales::velocity_unit(&description.normalization),
+            speeds: [slowest, fastest],
+            rules: description.rules,
+            spacing: grid.map_or(1.0, |grid| grid.spacing),
+        };
+        let ballistic = Ballistic::new(description);
+        Ok(Self {
             domain: description.domain,
-            weights: device.allocate(4 * layout.size)?,
-            rules: device.allocate(4 * RULES)?,
-            host_rows: device.allocate_host(MOST_STREAMS * size_of::<Row>())?,
-            rows: device.allocate(MOST_STREAMS * size_of::<Row>())?,
-            zeros: device.allocate(0)?,
-            scratch: device.allocate(0)?,
+            weights: List::of(&*device, &weights)?,
+            rules: List::of(&*device, &[scales.constants(&ballistic)])?,
+            scales,
+            ballistic,
+            host_rows: device.allocate_host(MOST_STREAMS * size_of::<Stream>())?,
+            rows: List::new(&*device, MOST_STREAMS)?,
+            zeros: List::new(&*device, 0)?,
+            scratch: List::new(&*device, 0)?,
             host: [device.allocate_host(0)?, device.allocate_host(0)?],
             bodies: 0,
             threads: copy_threads(None, COPY_THREADS),
@@ -159,11 +171,7 @@ impl Inference {
             constants,
             layout,
             device,
-        };
-        inference.device.write(&inference.weights, 0, bytemuck::cast_slice(&weights))?;
-        let rules = inference.scales.constants(&inference.ballistic);
-        inference.device.write(&inference.rules, 0, bytemuck::cast_slice(&rules))?;
-        Ok(inference)
+        })
     }
 
     /// The same, with this number of threads that copy frames between the program's memory and the device's, if one is given.
@@ -181,11 +189,11 @@ impl Inference {
         let zeros: usize = sizes.iter().map(Size::zeros).sum();
         let scratch: usize = sizes.iter().map(|size| size.scratch(&self.constants)).sum();
         let bodies: usize = sizes.iter().map(|size| size.particles).sum();
-        for (buffer, numbers) in [(&mut self.zeros, zeros), (&mut self.scratch, scratch)] {
-            if buffer.bytes() < 4 * numbers {
+        for (list, numbers) in [(&mut self.zeros, zeros), (&mut self.scratch, scratch)] {
+            if list.bytes() < 4 * numbers {
                 // Nothing runs, and what is there is not needed any more.
-                *buffer = self.device.allocate(0)?;
-                *buffer = self.device.allocate(4 * numbers)?;
+                *list = List::new(&*self.device, 0)?;
+                *list = List::new(&*self.device, numbers)?;
             }
         }
         if self.bodies < bodies {
@@ -249,16 +257,16 @@ impl Inference {
 
     /// Writes the table of the streams.
     fn write_rows(&mut self, steps: &[Step<'_, Memory>]) {
-        let (mut zeros, mut scratch) = (self.zeros.address(), self.scratch.address());
-        let mut host = [self.host[0].address(), self.host[1].address()];
+        let (mut zeros, mut scratch) = (self.zeros.pointer(), self.scratch.pointer());
+        let mut host = self.host.each_ref().map(HostBuffer::pointer::<Body>);
         // SAFETY: the last step has finished, and nothing else uses this memory.
-        let table = unsafe { self.host_rows.slice::<Row>() };
+        let table = unsafe { self.host_rows.slice::<Stream>() };
         for (row, (memory, frame, _)) in table.iter_mut().zip(steps) {
             let ballistic = self.ballistic.for_domain(&self.domain, &frame.domain);
             let places = [&mut zeros, &mut scratch];
             *row =
                 memory.row(&self.constants, &self.scales, &frame.domain, &ballistic, host, places);
-            host = host.map(|at| at.plus_bytes(memory.particles() * size_of::<Body>()));
+            host = host.map(|at| at.plus(memory.particles()));
         }
     }
 
@@ -281,52 +289,50 @@ impl Inference {
         self.device.finish()
     }
 
-    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
-        // SAFETY: every call of this file passes the kernel's parameters in type and order, and a table of streams with the
-        // memory that `Size` has found for them.
-        unsafe { self.device.launch(Queue::Main, kernel, shape, arguments) }
+    fn launch(&self, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: every call of this file passes a table of streams with the memory that `Size` has found for them.
+        unsafe { self.device.launch(Queue::Main, shape, &kernel) }
     }
 
     /// Puts a step into the queue.
     fn launch_all(&self, extent: Extent) -> Result<()> {
-        let Extent { streams, particles, nodes, chunks, .. } = extent;
+        let Extent { streams: number, particles, nodes, chunks, .. } = extent;
         let Constants { tile, nodes: node_tile, .. } = self.constants;
         let blocks =
-            |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / streams).max(64)).max(1);
-        let rows: Argument = self.rows.address().into();
-        let weights = |first: usize| -> Argument { self.weights.address().plus(first).into() };
-        let by_particle = Shape::new(blocks(particles, 256), streams, 256);
+            |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / number).max(64)).max(1);
+        let streams = self.rows.pointer();
+        let weights = |first: usize| self.weights.pointer().plus(first);
+        let by_particle = Shape::new(blocks(particles, 256), number, 256);
         let by_tile =
-            |shared| Shape { shared, ..Shape::new(blocks(particles, tile), streams, TILE_THREADS) };
-        self.launch(Kernel::ParticleLoad, by_particle, &[self.host_rows.address().into(), rows])?;
+            |shared| Shape { shared, ..Shape::new(blocks(particles, tile), number, TILE_THREADS) };
+        let host_streams = self.host_rows.pointer();
+        self.launch(by_particle, ParticleLoad { host_streams, streams })?;
         let scan = Shape {
-            grid: [blocks(chunks, 1), 1 + self.constants.levels(), streams],
+            grid: [blocks(chunks, 1), 1 + self.constants.levels(), number],
             ..Shape::new(1, 1, SCAN_THREADS)
         };
         if chunks > 1 {
-            self.launch(Kernel::ParticleChunks, scan, &[rows])?;
+            self.launch(scan, ParticleChunks { streams })?;
         }
-        self.launch(Kernel::ParticleScan, scan, &[rows])?;
-        self.launch(Kernel::ParticleScatter, by_particle, &[rows])?;
-        self.launch(Kernel::ParticleRank, by_particle, &[rows])?;
+        self.launch(scan, ParticleScan { streams })?;
+        self.launch(by_particle, ParticleScatter { streams })?;
+        self.launch(by_particle, ParticleRank { streams })?;
         let [first, second] = self.layout.encoder.map(weights);
         let encode = by_tile(self.constants.encode_bytes());
-        self.launch(Kernel::ParticleEncode, encode, &[rows, first, second])?;
-        let by_node = Shape::new(blocks(nodes[0], 2), streams, 96);
-        self.launch(Kernel::ParticleToNodes, by_node, &[rows])?;
-        for layer in &self.layout.grid {
-            let shape = Shape {
-                shared: layer.shared,
-                ..Shape::new(blocks(nodes[layer.level], node_tile), streams, NODE_THREADS)
-            };
-            let numbers = Argument::from_bytes(bytemuck::cast_slice(&layer.numbers));
-            let arguments = [rows, weights(layer.first), numbers, layer.parts.into()];
-            self.launch(Kernel::ParticleGridLayer, shape, &arguments)?;
+        self.launch(encode, ParticleEncode { streams, first, second })?;
+        let by_node = Shape::new(blocks(nodes[0], 2), number, 96);
+        self.launch(by_node, ParticleToNodes { streams })?;
+        for &NodeLayer { layer, first, parts, shared, level } in &self.layout.grid {
+            let by_node = Shape::new(blocks(nodes[level], node_tile), number, NODE_THREADS);
+            self.launch(
+                Shape { shared, ..by_node },
+                ParticleGridLayer { streams, w: weights(first), layer, parts: count(parts) },
+            )?;
         }
         let decode = by_tile(self.constants.decode_bytes());
-        self.launch(Kernel::ParticleDecode, decode, &[rows, weights(self.layout.context)])?;
+        self.launch(decode, ParticleDecode { streams, w: weights(self.layout.context) })?;
         self.launch_rules(extent, by_particle, &blocks)?;
-        self.launch(Kernel::ParticleStore, by_particle, &[rows])
+        self.launch(by_particle, ParticleStore { streams })
     }
 
     /// Puts the rules of a step into the queue.
@@ -336,50 +342,47 @@ impl Inference {
         by_particle: Shape,
         blocks: &dyn Fn(usize, usize) -> usize,
     ) -> Result<()> {
-        let Extent { streams, nodes, cells, area, bodies, solve, .. } = extent;
+        let Extent { streams: number, nodes, cells, area, bodies, solve, .. } = extent;
         let checkpoint::Rules { elastic, area: area_rule, shape, rest, .. } = self.scales.rules;
-        let (rows, rules): (Argument, Argument) =
-            (self.rows.address().into(), self.rules.address().into());
-        let all = [rows, rules];
+        let (streams, constants) = (self.rows.pointer(), self.rules.pointer());
         if elastic.is_some() {
-            let by_body = Shape::new(blocks(bodies, 1), streams, ELASTIC_THREADS);
-            self.launch(Kernel::ParticleElastic, by_body, &[rows])?;
+            let by_body = Shape::new(blocks(bodies, 1), number, ELASTIC_THREADS);
+            self.launch(by_body, ParticleElastic { streams })?;
         }
         if let Some(rule) = area_rule {
-            self.launch(Kernel::ParticleAreaFill, by_particle, &all)?;
+            self.launch(by_particle, ParticleAreaFill { streams, constants })?;
             if let Some(shared) = solve {
-                let shape = Shape { shared, ..Shape::new(streams, 1, SOLVE_THREADS) };
-                let arguments = [rows, rules, rule.sweeps.into()];
-                self.launch(Kernel::ParticleAreaSolve, shape, &arguments)?;
+                let shape = Shape { shared, ..Shape::new(number, 1, SOLVE_THREADS) };
+                let sweeps = count(rule.sweeps);
+                self.launch(shape, ParticleAreaSolve { streams, constants, sweeps })?;
             } else {
-                let by_node = Shape::new(blocks(area, 256), streams, 256);
-                self.launch(Kernel::ParticleAreaMark, by_node, &all)?;
-                let by_colour = Shape::new(blocks(area, 512), streams, 256);
+                let by_node = Shape::new(blocks(area, 256), number, 256);
+                self.launch(by_node, ParticleAreaMark { streams, constants })?;
+                let by_colour = Shape::new(blocks(area, 512), number, 256);
                 for half in 0..2 * rule.sweeps {
-                    let arguments = [rows, rules, (half % 2).into()];
-                    self.launch(Kernel::ParticleAreaSweep, by_colour, &arguments)?;
+                    let colour = count(half % 2);
+                    self.launch(by_colour, ParticleAreaSweep { streams, constants, colour })?;
                 }
             }
-            self.launch(Kernel::ParticleAreaShift, by_particle, &all)?;
+            self.launch(by_particle, ParticleAreaShift { streams, constants })?;
         }
         if let Some(rule) = shape {
-            self.launch(Kernel::ParticleShapeLimit, by_particle, &all)?;
+            self.launch(by_particle, ParticleShapeLimit { streams, constants })?;
             for sweep in 0..rule.sweeps {
-                let last = usize::from(sweep + 1 == rule.sweeps);
-                let arguments = [rows, sweep.into(), last.into()];
-                self.launch(Kernel::ParticleShapeRelax, by_particle, &arguments)?;
+                let (sweep, last) = (count(sweep), (sweep + 1 == rule.sweeps).into());
+                self.launch(by_particle, ParticleShapeRelax { streams, sweep, last })?;
             }
         }
         if self.scales.finds_bodies() {
-            let by_node = Shape::new(blocks(nodes[0], 256), streams, 256);
-            self.launch(Kernel::ParticleBodiesJoin, by_node, &[rows])?;
-            self.launch(Kernel::ParticleBodiesNumber, by_node, &[rows])?;
-            let by_cell = Shape::new(blocks(cells, 128), streams, 128);
-            self.launch(Kernel::ParticleBodiesSum, by_cell, &[rows])?;
-            self.launch(Kernel::ParticleBodiesFlight, by_cell, &all)?;
+            let by_node = Shape::new(blocks(nodes[0], 256), number, 256);
+            self.launch(by_node, ParticleBodiesJoin { streams })?;
+            self.launch(by_node, ParticleBodiesNumber { streams })?;
+            let by_cell = Shape::new(blocks(cells, 128), number, 128);
+            self.launch(by_cell, ParticleBodiesSum { streams })?;
+            self.launch(by_cell, ParticleBodiesFlight { streams, constants })?;
         }
         if rest.is_some() {
-            self.launch(Kernel::ParticleBodiesRest, by_particle, &all)?;
+            self.launch(by_particle, ParticleBodiesRest { streams, constants })?;
         }
         Ok(())
     }

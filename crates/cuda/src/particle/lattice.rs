@@ -1,51 +1,18 @@
 //! The lattices of jelly where the kernels read them.
 
-#![expect(unsafe_code, reason = "structs that the device reads")]
-
-use eddy_inference::kernels::lattice::{Elasticity, Lattice, Lattices, Point, Share, SurfacePart};
+use eddy_inference::kernels::lattice::{self, Elasticity, Lattices, Point, Share, SurfacePart};
 
 use crate::{
-    device::{Address, Buffer, Device},
+    device::{Device, List, Pointer, count},
     error::{CudaError, Result},
+    kernels::particle::elastic::Lattice,
 };
-
-/// Threads of a block of `particle_elastic`, which advances a body.
-pub(super) const ELASTIC_THREADS: usize = 512;
 
 /// Nodes of a body at most: its fit has a dense matrix on a device.
 const MOST_NODES: usize = 2048;
 
 /// Largest error of the nodes where there is no limit, as in the kernels.
 const NOTHING_EXPECTED: f32 = 3.4e38;
-
-/// `struct Lattice` of the kernels.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-struct DeviceLattice {
-    lists: [u64; 10],
-    particles: u32,
-    nodes: u32,
-    points: u32,
-    parts: u32,
-    first_node: u32,
-    first_force: u32,
-    lame: [f32; 2],
-    viscosity: f32,
-    wall_distance: f32,
-    wall_stiffness: f32,
-    rebound: f32,
-    clear_distance: f32,
-    most_stretch: f32,
-    most_error: f32,
-    small_error: f32,
-    steps: u32,
-    _unused: u32,
-}
-const _: () = assert!(size_of::<DeviceLattice>() == 8 * 10 + 4 * 18);
-// SAFETY: numbers without padding between them, as the size shows.
-unsafe impl bytemuck::Zeroable for DeviceLattice {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for DeviceLattice {}
 
 /// What the memory of a stream's lattices depends on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,9 +26,9 @@ pub(super) struct LatticeSize {
 
 /// The lattices of a stream on a device.
 pub(super) struct DeviceLattices {
-    /// `struct Lattice` of each body.
-    table: Buffer,
-    lists: Buffer,
+    /// Of each body.
+    table: List<Lattice>,
+    lists: List<u32>,
     pub(super) size: LatticeSize,
 }
 
@@ -85,24 +52,21 @@ impl DeviceLattices {
             size.nodes += body.inverse_mass().len();
             size.forces += 8 * (body.points().len() + body.surface().len());
         }
-        let lists = device.allocate(size_of_val(&*words))?;
-        device.write(&lists, 0, bytemuck::cast_slice(&words))?;
+        let lists = List::of(device, &words)?;
         let on_device =
-            |&(body, places, before): &_| on_device(body, places, before, lists.address());
+            |&(body, places, before): &_| on_device(body, places, before, lists.pointer());
         let rows: Vec<_> = table.iter().map(on_device).collect();
-        let table = device.allocate(size_of_val(&*rows))?;
-        device.write(&table, 0, bytemuck::cast_slice(&rows))?;
-        Ok(Some(Self { table, lists, size }))
+        Ok(Some(Self { table: List::of(device, &rows)?, lists, size }))
     }
 
     /// Of the table, and of the number of each particle's body.
-    pub(super) fn addresses(&self) -> [u64; 2] {
-        [self.table.address().0, self.lists.address().0]
+    pub(super) fn pointers(&self) -> (Pointer<Lattice>, Pointer<u32>) {
+        (self.table.pointer(), self.lists.pointer())
     }
 }
 
 /// Appends the lists of a lattice to `words`, as integers and the bits of numbers; returns where they begin.
-fn append(lattice: &Lattice, words: &mut Vec<u32>) -> Result<[usize; 10]> {
+fn append(lattice: &lattice::Lattice, words: &mut Vec<u32>) -> Result<[usize; 10]> {
     let nodes = lattice.inverse_mass().len();
     if nodes > MOST_NODES {
         let setting = format!("a body of jelly with {nodes} nodes of its lattice");
@@ -146,23 +110,46 @@ fn append(lattice: &Lattice, words: &mut Vec<u32>) -> Result<[usize; 10]> {
 
 /// As the kernels have it, where the lists begin at `words` and its scratch memory behind that of the bodies `before`.
 fn on_device(
-    lattice: &Lattice,
+    lattice: &lattice::Lattice,
     lists: [usize; 10],
     before: LatticeSize,
-    words: Address,
-) -> DeviceLattice {
+    words: Pointer<u32>,
+) -> Lattice {
     let Elasticity { lame, viscosity, wall_distance, wall_stiffness, .. } = *lattice.elasticity();
     let Elasticity { rebound, clear_distance, most_stretch, .. } = *lattice.elasticity();
     let Elasticity { most_error, small_error, steps, .. } = *lattice.elasticity();
-    DeviceLattice {
-        lists: lists.map(|list| words.plus(list).0),
-        particles: lattice.rows().len() as u32,
-        nodes: lattice.inverse_mass().len() as u32,
-        points: lattice.points().len() as u32,
-        parts: lattice.surface().len() as u32,
-        first_node: before.nodes as u32,
-        first_force: before.forces as u32,
-        lame,
+    let [
+        rows,
+        corners,
+        sample_first,
+        samples,
+        inverse,
+        inverse_mass,
+        incident_first,
+        incident,
+        points,
+        parts,
+    ] = lists.map(|list| words.plus(list));
+    let [mu, lambda] = lame;
+    Lattice {
+        rows,
+        corners: corners.cast(),
+        sample_first,
+        samples: samples.cast(),
+        inverse: inverse.cast(),
+        inverse_mass: inverse_mass.cast(),
+        incident_first,
+        incident,
+        points: points.cast(),
+        parts: parts.cast(),
+        particle_count: count(lattice.rows().len()),
+        node_count: count(lattice.inverse_mass().len()),
+        point_count: count(lattice.points().len()),
+        part_count: count(lattice.surface().len()),
+        first_node: count(before.nodes),
+        first_force: count(before.forces),
+        mu,
+        lambda,
         viscosity,
         wall_distance,
         wall_stiffness,
@@ -171,8 +158,8 @@ fn on_device(
         most_stretch,
         most_error: most_error.min(NOTHING_EXPECTED),
         small_error,
-        steps: steps as u32,
-        _unused: 0,
+        steps: count(steps),
+        unused: 0,
     }
 }
 

@@ -22,14 +22,17 @@ use eddy_inference::{
 };
 
 use crate::{
+    device::count,
     error::{CudaError, Result},
-    kernels::{AXES, MATERIALS, PARTICLE_SOURCE, Program, round_up},
+    kernels::{
+        AXES, MATERIALS, PARTICLE_SOURCE, Program,
+        particle::layers::{Layer, ROWS},
+        round_up,
+    },
 };
 
 /// Threads of a block that computes layers on nodes.
 pub(super) const NODE_THREADS: usize = 256;
-/// Rows that a thread multiplies, `ROWS` of the kernels.
-pub(super) const ROWS: usize = 4;
 /// Most threads that share a sum.
 pub(super) const MOST_PARTS: usize = 8;
 /// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
@@ -212,12 +215,10 @@ impl Program for Constants {
     }
 }
 
-/// A layer on the nodes: `struct Layer` of the kernels and what its launch needs.
+/// A layer on the nodes, and what its launch needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NodeLayer {
-    /// Gathered rows, level of the blocks' nodes, lists read, written and added, padded widths of rows read and written,
-    /// whether ReLU follows.
-    pub(super) numbers: [i32; 8],
+    pub(super) layer: Layer,
     /// First number of its matrix.
     pub(super) first: usize,
     /// Threads that share a sum.
@@ -235,8 +236,6 @@ pub struct Layout {
     pub(super) encoder: [usize; 2],
     pub(super) grid: Vec<NodeLayer>,
     pub(super) context: usize,
-    /// Numbers in all of them.
-    pub(super) size: usize,
 }
 
 /// A matrix that is written.
@@ -314,11 +313,18 @@ impl Layout {
                 let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
                 let gathered = constants.nodes * odd(rows);
                 let sums = (parts - 1) * constants.nodes * columns;
-                let rectified = usize::from(layer.rectified);
                 let level = layer.node_level();
                 NodeLayer {
-                    numbers: [places, level, *from, *to, skip, inner, outputs, rectified]
-                        .map(|number| number as i32),
+                    layer: Layer {
+                        places: count(places),
+                        level: count(level),
+                        from: count(*from),
+                        to: count(*to),
+                        skip: count(skip),
+                        inner: count(inner),
+                        outputs: count(outputs),
+                        rectified: layer.rectified.into(),
+                    },
                     first,
                     parts,
                     shared: 4 * gathered.max(sums),
@@ -354,7 +360,6 @@ impl Layout {
         }
         add(&mut all, named(layout::names("mixer")), rows, &plain, 1);
         add(&mut all, named(layout::names("decoder")), rows, &plain, 1);
-        let size = all.len();
-        (Self { encoder, grid, context, size }, all)
+        (Self { encoder, grid, context }, all)
     }
 }

@@ -1,7 +1,5 @@
 //! What is remembered of a stream, and where its lists are in the scratch memory of a step.
 
-#![expect(unsafe_code, reason = "a struct that the device reads")]
-
 use std::sync::{
     Arc,
     atomic::{AtomicBool, Ordering},
@@ -9,9 +7,9 @@ use std::sync::{
 
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint::{self, grid::MAX_LISTS},
+    checkpoint,
     engine::{Ballistic, StreamStart},
-    kernels::nodes::{MAX_LEVELS, map_extent},
+    kernels::nodes::map_extent,
 };
 
 use super::{
@@ -19,93 +17,20 @@ use super::{
     layout::Constants,
 };
 use crate::{
-    device::{Address, Buffer, Device, Queue},
+    device::{Device, List, Pointer, Queue, count},
     error::Result,
-    kernels::round_up,
-    streams::StreamMemory,
+    kernels::{
+        particle::{
+            nodes::{CHUNK, Link, Neighbour, Stream},
+            rules::{MARGIN, Rules},
+        },
+        round_up,
+    },
+    streams::{Body, StreamMemory},
 };
 
-/// Numbers of `struct Rules` of the kernels.
-pub(super) const RULES: usize = 16;
 /// Numbers that parts of a memory begin at multiples of.
 const LINE: usize = 32;
-/// Numbers of a particle: x, y, vx, vy.
-const BODY: usize = 4;
-/// Entries of a part of a map, `CHUNK` of the kernels.
-const CHUNK: usize = 512 * 16;
-/// Nodes of the area rule's grid outside the domain on each side, `MARGIN` of the kernels.
-const MARGIN: usize = 2;
-/// Numbers of 4 bytes of `struct BodySums` of the kernels: 17 sums in two parts, the fastest cell, the box, a mark.
-const BODY_SUMS: usize = 4 * 17 + 2 + 4 + 2;
-
-/// `struct Stream` of the kernels.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-pub(super) struct Row {
-    hidden: u64,
-    expected: u64,
-    lattice_places: u64,
-    lattice_errors: u64,
-    first: u64,
-    links: u64,
-    neighbours: u64,
-    material: u64,
-    observed: u64,
-    predicted: u64,
-    counts: u64,
-    marks: [u64; MAX_LEVELS],
-    fill: u64,
-    starts: u64,
-    maps: [u64; MAX_LEVELS],
-    lists: [u64; MAX_LEVELS],
-    totals: u64,
-    chunks: u64,
-    bodies: u64,
-    cells: u64,
-    arrivals: u64,
-    unsorted: u64,
-    order: u64,
-    weights: u64,
-    features: u64,
-    encoded: u64,
-    fields: [u64; MAX_LISTS],
-    next: u64,
-    excess: u64,
-    pressure: u64,
-    shapes: [u64; 2],
-    limited: u64,
-    offsets: u64,
-    parents: u64,
-    numbers: u64,
-    sums: u64,
-    lattices: u64,
-    lattice_count: u64,
-    body_of: u64,
-    residuals: u64,
-    lattice_nodes: u64,
-    lattice_forces: u64,
-    particles: u32,
-    begun: u32,
-    extent: [u32; 2],
-    lower: [f32; 2],
-    cells_across: [f32; 2],
-    width: f32,
-    walls: [[f32; 2]; 2],
-    fall: [f32; 2],
-    dt: f32,
-    unit: f32,
-    speeds: [[f32; 2]; 2],
-    area_extent: [u32; 2],
-    area_inside: [[i32; 2]; 2],
-    area_walls: [[f32; 2]; 2],
-    stiffness: f32,
-}
-
-const _: () = assert!(size_of::<Row>() == 8 * (39 + 3 * MAX_LEVELS + MAX_LISTS) + 4 * 32);
-// SAFETY: integers and numbers without padding between them, as the size shows.
-unsafe impl bytemuck::Zeroable for Row {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Row {}
 
 /// What does not change in a network's streams.
 #[derive(Clone, Copy, Debug)]
@@ -130,34 +55,38 @@ impl Scales {
         self.rules.area.map(|rule| rule.cell_width * self.spacing)
     }
 
-    /// `struct Rules` of the kernels.
-    pub(super) fn constants(&self, ballistic: &Ballistic) -> [f32; RULES] {
+    /// The constants of the rules.
+    pub(super) fn constants(&self, ballistic: &Ballistic) -> Rules {
         let checkpoint::Rules { area, shape, flight, rest, .. } = self.rules;
-        let mut all = [0.0; RULES];
+        let mut rules = Rules {
+            strain_limit: shape.map_or(0.0, |rule| rule.strain_limit),
+            flight_distance: flight.map_or(-1.0, |rule| rule.wall_distance * self.width),
+            gain: ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt,
+            ..bytemuck::Zeroable::zeroed()
+        };
         if let Some(rule) = area {
-            let share = 1.0 / (rule.cell_width * rule.cell_width);
-            // A particle at a wall fills half a spacing beyond it.
-            let beyond = 0.5 / rule.cell_width;
-            let width = rule.cell_width * self.spacing;
-            all[..8].copy_from_slice(&[
-                width,
-                rule.fill_limit,
-                rule.surface_fill,
-                rule.relaxation,
-                rule.longest_shift,
-                rule.rate,
-                share,
-                beyond,
-            ]);
+            rules = Rules {
+                area_width: rule.cell_width * self.spacing,
+                fill_limit: rule.fill_limit,
+                surface_fill: rule.surface_fill,
+                relaxation: rule.relaxation,
+                longest_shift: rule.longest_shift,
+                rate: rule.rate,
+                share: 1.0 / (rule.cell_width * rule.cell_width),
+                // A particle at a wall fills half a spacing beyond it.
+                beyond: 0.5 / rule.cell_width,
+                ..rules
+            };
         }
-        all[8] = shape.map_or(0.0, |rule| rule.strain_limit);
-        all[9] = flight.map_or(-1.0, |rule| rule.wall_distance * self.width);
         if let Some(rule) = rest {
-            let distance = rule.wall_distance * self.width;
-            all[10..13].copy_from_slice(&[distance, rule.asleep_below, rule.awake_from]);
+            rules = Rules {
+                rest_distance: rule.wall_distance * self.width,
+                asleep_below: rule.asleep_below,
+                awake_from: rule.awake_from,
+                ..rules
+            };
         }
-        all[13] = ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt;
-        all
+        rules
     }
 
     /// Whether bodies are to be found.
@@ -231,26 +160,26 @@ impl Size {
     /// Numbers that are zero between two steps.
     pub(super) fn zeros(&self) -> usize {
         let mut row = bytemuck::Zeroable::zeroed();
-        Self::place_zeros(self, Address::NULL, &mut row)
+        self.place_zeros(Pointer::NULL, &mut row)
     }
 
-    fn place_zeros(&self, from: Address, row: &mut Row) -> usize {
+    fn place_zeros(&self, from: Pointer<u32>, row: &mut Stream) -> usize {
         let mut places = Places { from, length: 0 };
         row.counts = places.next(self.entries(0));
         for (level, marks) in row.marks[..self.levels].iter_mut().enumerate() {
             *marks = places.next(self.entries(level));
         }
-        row.fill = places.next(4 * self.area_nodes());
+        row.fill = places.next(2 * self.area_nodes());
         places.length
     }
 
     /// Numbers of scratch memory.
     pub(super) fn scratch(&self, constants: &Constants) -> usize {
         let mut row = bytemuck::Zeroable::zeroed();
-        self.place_scratch(constants, Address::NULL, &mut row)
+        self.place_scratch(constants, Pointer::NULL, &mut row)
     }
 
-    fn place_scratch(&self, constants: &Constants, from: Address, row: &mut Row) -> usize {
+    fn place_scratch(&self, constants: &Constants, from: Pointer<u32>, row: &mut Stream) -> usize {
         let mut places = Places { from, length: 0 };
         let n = self.particles;
         row.starts = places.next(self.entries(0) + 1);
@@ -262,7 +191,7 @@ impl Size {
         }
         row.totals = places.next(self.levels + 1);
         row.chunks = places.next((1 + self.levels) * self.chunks());
-        row.bodies = places.next(BODY * n);
+        row.bodies = places.next(n);
         for list in [&mut row.cells, &mut row.arrivals, &mut row.unsorted, &mut row.order] {
             *list = places.next(n);
         }
@@ -272,7 +201,7 @@ impl Size {
         for (field, &(level, width)) in row.fields.iter_mut().zip(&constants.lists) {
             *field = places.next(width * self.nodes(level));
         }
-        row.next = places.next(BODY * n);
+        row.next = places.next(n);
         row.excess = places.next(2 * self.area_nodes());
         row.pressure = places.next(self.area_nodes());
         if self.shapes {
@@ -285,12 +214,12 @@ impl Size {
             row.parents = places.next(nodes);
             row.numbers = places.next(nodes);
             // Each has at least the nodes of one stencil.
-            row.sums = places.next(BODY_SUMS * nodes.div_ceil(9));
+            row.sums = places.next(nodes.div_ceil(9));
         }
         let LatticeSize { nodes, forces, .. } = self.lattices;
         if nodes > 0 {
-            row.residuals = places.next(BODY * n);
-            row.lattice_nodes = places.next(2 * BODY * nodes);
+            row.residuals = places.next(n);
+            row.lattice_nodes = places.next(2 * nodes);
             row.lattice_forces = places.next(forces);
         }
         places.length
@@ -304,25 +233,26 @@ pub(super) fn cells_across(domain: &Domain, width: f32) -> [f32; 2] {
 
 /// Parts of a memory one behind the other.
 struct Places {
-    from: Address,
+    from: Pointer<u32>,
+    /// In numbers of 4 bytes.
     length: usize,
 }
 
 impl Places {
-    fn next(&mut self, numbers: usize) -> u64 {
+    fn next<T>(&mut self, items: usize) -> Pointer<T> {
         let at = self.from.plus(self.length);
-        self.length += round_up(numbers, LINE);
-        at.0
+        self.length += round_up(items * size_of::<T>() / 4, LINE);
+        at.cast()
     }
 }
 
 /// What does not change in a stream: materials, rest shape and stiffness.
 struct Fixed {
-    buffer: Buffer,
+    list: List<u32>,
     /// Where the links of each particle begin, and the links; nowhere if no particle has a rest shape.
-    first: u64,
-    links: u64,
-    neighbours: u64,
+    first: Pointer<u32>,
+    links: Pointer<Link>,
+    neighbours: Pointer<Neighbour>,
     /// The feature of the stiffness; 0 where the network is not conditioned on it.
     stiffness: f32,
     /// None where the rule `elastic` is off, or there is no jelly.
@@ -334,7 +264,7 @@ pub struct Memory {
     device: Arc<dyn Device>,
     fixed: Arc<Fixed>,
     /// The core's outputs and cells, the velocities that the ballistic step expects, and what the lattices expect.
-    buffer: Buffer,
+    list: List<f32>,
     particles: usize,
     /// Whether a frame was observed.
     begun: AtomicBool,
@@ -351,8 +281,8 @@ impl Memory {
         let fixed = Arc::new(Fixed::new(&*device, stream)?);
         let LatticeSize { bodies, nodes, .. } = fixed.lattice_size();
         let expected = 2 * nodes + bodies;
-        let buffer = device.allocate(4 * (states + 2 * particles + expected).max(1))?;
-        Ok(Self { device, fixed, buffer, particles, begun: AtomicBool::new(false) })
+        let list = List::new(&*device, states + 2 * particles + expected)?;
+        Ok(Self { device, fixed, list, particles, begun: AtomicBool::new(false) })
     }
 
     pub(super) fn particles(&self) -> usize {
@@ -377,13 +307,13 @@ impl Memory {
         scales: &Scales,
         domain: &Domain,
         ballistic: &Ballistic,
-        host: [Address; 2],
-        [zeros, scratch]: [&mut Address; 2],
-    ) -> Row {
+        host: [Pointer<Body>; 2],
+        [zeros, scratch]: [&mut Pointer<u32>; 2],
+    ) -> Stream {
         let size = Size::new(self.particles, self.lattices(), domain, scales);
         let own = self.fixed.lattices.as_ref();
-        let [lattices, body_of] = own.map_or([0; 2], DeviceLattices::addresses);
-        let mut row: Row = bytemuck::Zeroable::zeroed();
+        let (lattices, body_of) = own.map(DeviceLattices::pointers).unwrap_or_default();
+        let mut row: Stream = bytemuck::Zeroable::zeroed();
         *zeros = zeros.plus(size.place_zeros(*zeros, &mut row));
         *scratch = scratch.plus(size.place_scratch(constants, *scratch, &mut row));
         let states = constants.states() * self.particles * constants.hidden_columns();
@@ -401,36 +331,42 @@ impl Memory {
             let first = (low.ceil() as i32).clamp(1, most);
             [first, (high.floor() as i32 + 1).clamp(first, most)]
         });
-        let expected = self.buffer.address().plus(states);
-        let places = expected.plus(2 * self.particles);
-        Row {
-            hidden: self.buffer.address().0,
-            expected: expected.0,
-            lattice_places: places.0,
-            lattice_errors: places.plus(2 * size.lattices.nodes).0,
+        let hidden = self.list.pointer();
+        let expected = hidden.plus(states);
+        let lattice_places = expected.plus(2 * self.particles);
+        let [across, down] = size.extent.map(count);
+        let [slowest, fastest] = speeds;
+        Stream {
+            hidden,
+            expected,
+            lattice_places,
+            lattice_errors: lattice_places.plus(2 * size.lattices.nodes),
             first: self.fixed.first,
             links: self.fixed.links,
             neighbours: self.fixed.neighbours,
-            material: self.fixed.buffer.address().0,
-            observed: host[0].0,
-            predicted: host[1].0,
-            particles: self.particles as u32,
+            material: self.fixed.list.pointer().cast(),
+            observed: host[0],
+            predicted: host[1],
+            particles: count(self.particles),
             begun: u32::from(self.begun.load(Ordering::Relaxed)),
-            extent: size.extent.map(|cells| cells as u32),
+            across,
+            down,
             lower: domain.lower,
-            cells_across: cells_across(domain, width),
+            extent: cells_across(domain, width),
             width,
-            walls: [lower, upper],
+            wall_lower: lower,
+            wall_upper: upper,
             fall: gravity.map(|g| g * dt),
             dt,
             unit,
-            speeds,
-            area_extent: size.area.map(|nodes| nodes as u32),
+            slowest,
+            fastest,
+            area_extent: size.area.map(count),
             area_inside,
             area_walls,
             stiffness: self.fixed.stiffness,
             lattices,
-            lattice_count: size.lattices.bodies as u64,
+            lattice_count: count(size.lattices.bodies),
             body_of,
             ..row
         }
@@ -440,20 +376,20 @@ impl Memory {
 impl StreamMemory for Memory {
     fn clear(&self) -> Result<()> {
         self.begun.store(false, Ordering::Relaxed);
-        self.device.clear(Queue::Main, &self.buffer)
+        self.device.clear(Queue::Main, &self.list)
     }
 
     /// Outputs and cells, what is expected, and whether a frame was observed.
     fn numbers(&self) -> Result<Vec<f32>> {
-        let mut numbers = vec![0f32; self.buffer.bytes() / 4];
-        self.device.read(&self.buffer, 0, bytemuck::cast_slice_mut(&mut numbers))?;
+        let mut numbers = vec![0f32; self.list.bytes() / 4];
+        self.device.read(&self.list, 0, bytemuck::cast_slice_mut(&mut numbers))?;
         numbers.push(f32::from(u8::from(self.begun.load(Ordering::Relaxed))));
         Ok(numbers)
     }
 
     fn copy_from(&self, other: &Self) -> Result<()> {
         self.begun.store(other.begun.load(Ordering::Relaxed), Ordering::Relaxed);
-        self.device.copy(&self.buffer, &other.buffer)
+        self.device.copy(&self.list, &other.list)
     }
 
     fn resembles(&self, other: &Self) -> bool {
@@ -464,7 +400,7 @@ impl StreamMemory for Memory {
         let copy = Self {
             device: Arc::clone(&self.device),
             fixed: Arc::clone(&self.fixed),
-            buffer: self.device.allocate(self.buffer.bytes())?,
+            list: List::new(&*self.device, self.list.bytes() / 4)?,
             particles: self.particles,
             begun: AtomicBool::new(false),
         };
@@ -503,16 +439,20 @@ impl Fixed {
                 }
             }
         }
-        let buffer = device.allocate(4 * numbers.len().max(1))?;
-        device.write(&buffer, 0, bytemuck::cast_slice(&numbers))?;
+        let list = List::of(device, &numbers)?;
         let at = |place: usize| match place {
-            0 => 0,
-            place => buffer.address().plus(place).0,
+            0 => Pointer::NULL,
+            place => list.pointer().plus(place),
         };
         let [first, links, neighbours] = places.map(at);
-        let stiffness = stiffness.unwrap_or_default();
-        let lattices = DeviceLattices::new(device, lattices)?;
-        Ok(Self { first, links, neighbours, stiffness, lattices, buffer })
+        Ok(Self {
+            first,
+            links: links.cast(),
+            neighbours: neighbours.cast(),
+            stiffness: stiffness.unwrap_or_default(),
+            lattices: DeviceLattices::new(device, lattices)?,
+            list,
+        })
     }
 
     fn lattice_size(&self) -> LatticeSize {

@@ -43,10 +43,12 @@ use plan::Memory;
 use weights::Outers;
 
 use crate::{
-    device::{Argument, Buffer, Device, MOST_BLOCKS, Queue, Shape},
+    device::{Device, Kernel, List, MOST_BLOCKS, Pointer, Queue, Shape},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::Kernel,
+    kernels::particle::training::{
+        grid::TrainObserve, node_layers::Transposed, plan::Plan, products::WARP,
+    },
     training::{Batch, InTraining, Optimizer, Settings, Tables},
 };
 
@@ -61,8 +63,8 @@ pub struct Training {
     tables: Tables,
     memory: Memory,
     /// The transposed matrices, which the forward pass reads, and the table of those to transpose.
-    transposed: Buffer,
-    matrices: Buffer,
+    transposed: List<f32>,
+    matrices: List<Transposed>,
     node_layers: NodeLayers,
     outers: Outers,
     graph: Graphs<()>,
@@ -85,13 +87,11 @@ impl Training {
         let tables = Tables::new(&device, settings, true)?;
         let memory = Memory::new(&device, &store, &tables, description, &constants, settings)?;
         let optimizer = Optimizer::new(&device, &layout.packing, settings)?;
-        let transposed = device.allocate(4 * layout.packing.size)?;
-        let list = layout.transposed();
-        let matrices = device.allocate(size_of_val(list.as_slice()))?;
-        device.write(&matrices, 0, bytemuck::cast_slice(&list))?;
-        let addresses = [transposed.address(), optimizer.weights.address()];
+        let transposed = List::new(&*device, layout.packing.size)?;
+        let weights = [transposed.pointer(), optimizer.weights.pointer()];
         Ok(Self {
-            node_layers: NodeLayers::new(&layout, &constants, &memory.plan, addresses),
+            matrices: List::of(&*device, &layout.transposed())?,
+            node_layers: NodeLayers::new(&layout, &constants, &memory.plan, weights),
             outers: Outers::new(&*device, &layout, &constants, &memory.plan, settings)?,
             graph: Graphs::new(1),
             settings: settings.clone(),
@@ -102,7 +102,6 @@ impl Training {
             store,
             optimizer,
             transposed,
-            matrices,
             device,
         })
     }
@@ -111,24 +110,18 @@ impl Training {
         self.settings.warm_up + self.settings.unroll - 1
     }
 
-    fn launch(&self, kernel: Kernel, shape: Shape, arguments: &[Argument]) -> Result<()> {
-        self.launch_in(Queue::Main, kernel, shape, arguments)
+    fn launch(&self, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        self.launch_in(Queue::Main, shape, kernel)
     }
 
-    fn launch_in(
-        &self,
-        queue: Queue,
-        kernel: Kernel,
-        shape: Shape,
-        arguments: &[Argument],
-    ) -> Result<()> {
-        // SAFETY: every call passes the kernel's parameters in type and order, and buffers that `new` has made for these shapes.
-        unsafe { self.device.launch(queue, kernel, shape, arguments) }
+    fn launch_in(&self, queue: Queue, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: every call passes buffers that `new` has made for these shapes.
+        unsafe { self.device.launch(queue, shape, &kernel) }
     }
 
     /// The plan, as the first argument of kernels.
-    fn plan(&self) -> Argument {
-        self.memory.device_plan.address().into()
+    fn plan(&self) -> Pointer<Plan> {
+        self.memory.device_plan.pointer()
     }
 
     /// Blocks over so many items each of so many windows' frames.
@@ -144,8 +137,7 @@ impl Training {
 
     /// No gradient goes on to the frame before.
     fn cut(&self) -> Result<()> {
-        let mut carried = self.memory.carried.iter();
-        carried.try_for_each(|gradient| self.device.clear(Queue::Main, gradient))
+        self.memory.carried.clear(&*self.device)
     }
 
     /// Puts a whole step into the queue.
@@ -155,8 +147,7 @@ impl Training {
         self.optimizer.mix(&self.tables)?;
         self.transpose()?;
         let shape = Self::over(self.store.most(), plan::PARTICLE_THREADS, warm_up * batch);
-        let arguments = [self.plan(), positions.into(), velocities.into()];
-        self.launch(Kernel::TrainObserve, shape, &arguments)?;
+        self.launch(shape, TrainObserve { plan: self.plan(), positions, velocities })?;
         let segments: Vec<(usize, usize)> =
             std::iter::once((0, warm_up)).chain((warm_up..self.frames()).map(|t| (t, 1))).collect();
         segments.iter().try_for_each(|&(first, frames)| self.forward(first, frames))?;
@@ -182,9 +173,6 @@ impl Training {
         self.optimizer.finish(&self.tables)
     }
 }
-
-/// Threads of a warp.
-const WARP: usize = 32;
 
 /// What steps of the particle model on a GPU cannot do, and the largest numbers of blocks.
 fn check(settings: &Settings) -> Result<()> {

@@ -1,17 +1,15 @@
 //! The constants of the solver's kernels, the table of scenes, and where each one's particles, tiles and nodes are.
 
-#![expect(unsafe_code, reason = "structs that the device reads")]
-
 use eddy_frames::Material;
 use eddy_mpm::{Attractor, CONSTANTS, GridShape, Interval, Law, Solver, SolverSettings, Step};
 
-use crate::kernels::Program;
+use crate::kernels::{
+    Program,
+    solver::solver::{CELLS, PATCH_NODES, Scene, Status, TILE, Tile},
+};
 
-/// Cells of a tile on each axis, `TILE` of the kernels.
-pub(super) const TILE: usize = 8;
-/// Numbers of a patch, `3 * PATCH_NODES` of the kernels: mass and momentum of a tile, two cells more on each side, and two
-/// nodes more.
-pub(super) const PATCH: usize = 3 * (TILE + 6) * (TILE + 6);
+/// Numbers of a patch: mass and momentum of its nodes.
+pub(super) const PATCH: usize = 3 * PATCH_NODES;
 /// Numbers of a particle's state, `State` of the kernels.
 pub(super) const NUMBERS: usize = 14;
 
@@ -21,7 +19,7 @@ pub struct Constants;
 
 impl Program for Constants {
     fn source(&self) -> String {
-        [include_str!("../kernels/base.cu"), include_str!("../kernels/solver.cu")].concat()
+        [include_str!("../base.cu"), include_str!("solver.cu")].concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
@@ -37,43 +35,9 @@ impl Program for Constants {
     }
 }
 
-/// `struct Scene` of the kernels.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-pub(super) struct Row {
-    first: u32,
-    particles: u32,
-    first_tile: u32,
-    tiles: [u32; 2],
-    first_node: u32,
-    sides: [u32; 2],
-    cells: [u32; 2],
-    substeps: u32,
-    dx: f32,
-    inverse_dx: f32,
-    dt: f32,
-    gravity: f32,
-    impulse: f32,
-    particles_per_cell: f32,
-    mu: f32,
-    lambda: f32,
-    viscosity: f32,
-    water: u32,
-    unit: f32,
-    attracted: u32,
-    centre: [f32; 2],
-    strength: f32,
-    period: f32,
-}
-
-// SAFETY: integers and numbers of 4 bytes, without padding between them.
-unsafe impl bytemuck::Zeroable for Row {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Row {}
-
-impl Row {
+impl Scene {
     /// Sets what the scene with these settings runs next.
-    pub(super) fn set(&mut self, settings: &SolverSettings, interval: &Interval) {
+    fn set(&mut self, settings: &SolverSettings, interval: &Interval) {
         self.substeps = interval.substeps;
         let step = Step::of(&SolverSettings { dt: interval.dt, ..*settings });
         (self.dt, self.impulse) = (step.dt, step.impulse);
@@ -92,14 +56,14 @@ impl Row {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Layout {
     /// Of each scene.
-    pub(super) rows: Vec<Row>,
+    pub(super) scenes: Vec<Scene>,
     settings: Vec<SolverSettings>,
     /// Particles of all scenes.
     pub(super) particles: usize,
     /// Particles of the largest one.
     pub(super) largest: usize,
-    /// `struct Tile` of the kernels, of all scenes: scene, and place along x and y.
-    pub(super) tiles: Vec<[u32; 3]>,
+    /// Of all scenes.
+    pub(super) tiles: Vec<Tile>,
     /// Nodes of all scenes.
     pub(super) nodes: usize,
 }
@@ -119,9 +83,9 @@ impl Layout {
         let step = Step::of(settings);
         let sides = cells.map(|cells| cells + 1);
         let tiles = sides.map(|side| side.div_ceil(TILE as u32));
-        let scene = self.rows.len() as u32;
+        let scene = self.scenes.len() as u32;
         self.settings.push(*settings);
-        self.rows.push(Row {
+        self.scenes.push(Scene {
             first: self.particles as u32,
             particles: particles as u32,
             first_tile: self.tiles.len() as u32,
@@ -135,7 +99,7 @@ impl Layout {
             dt: 0.0,
             gravity,
             impulse: 0.0,
-            particles_per_cell: step.particles_per_cell,
+            per_cell: step.particles_per_cell,
             mu: step.moduli.lame.mu,
             lambda: step.moduli.lame.lambda,
             viscosity: step.moduli.viscosity,
@@ -148,15 +112,17 @@ impl Layout {
         });
         self.particles += particles;
         self.largest = self.largest.max(particles);
-        let places = (0..tiles[0]).flat_map(|x| (0..tiles[1]).map(move |y| [scene, x, y]));
+        let places = (0..tiles[0]).flat_map(|x| (0..tiles[1]).map(move |y| Tile { scene, x, y }));
         self.tiles.extend(places);
         self.nodes += sides[0] as usize * sides[1] as usize;
     }
 
     /// Sets what each scene runs next.
     pub(super) fn set(&mut self, intervals: &[Interval]) {
-        for ((row, settings), interval) in self.rows.iter_mut().zip(&self.settings).zip(intervals) {
-            row.set(settings, interval);
+        for ((scene, settings), interval) in
+            self.scenes.iter_mut().zip(&self.settings).zip(intervals)
+        {
+            scene.set(settings, interval);
         }
     }
 
@@ -168,14 +134,14 @@ impl Layout {
     /// Memory of the device that these scenes take (bytes).
     pub(super) fn bytes(&self) -> u64 {
         let lists = 2 * NUMBERS + 3;
-        let per_scene = size_of::<Row>() + 2 * size_of::<[u32; 2]>() + 3 * size_of::<u32>();
+        let per_scene = size_of::<Scene>() + 2 * size_of::<Status>() + 3 * size_of::<u32>();
         let numbers = [
             (self.particles, 4 * lists),
             // Place, first and last particle, slot, two lists; counts of its cells.
-            (self.tiles.len(), size_of::<[u32; 3]>() + (5 + TILE * TILE) * size_of::<u32>()),
+            (self.tiles.len(), size_of::<Tile>() + (5 + CELLS) * size_of::<u32>()),
             (self.most_active(), size_of::<i64>() * PATCH),
             (self.nodes, size_of::<[f32; 4]>()),
-            (self.rows.len(), per_scene),
+            (self.scenes.len(), per_scene),
         ];
         numbers.iter().map(|&(count, bytes)| count as u64 * bytes as u64).sum()
     }

@@ -18,14 +18,20 @@ use std::sync::Arc;
 use eddy_mpm::{Accelerator, Interval, MpmError, Solver};
 
 use super::{
-    layout::{Layout, NUMBERS, PATCH, TILE},
+    layout::{Layout, NUMBERS, PATCH},
     particles::HostParticles,
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, Queue, Shape},
+    device::{Device, Kernel, List, Pointer, Queue, Shape, count},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::{Kernel, round_up},
+    kernels::{
+        round_up,
+        solver::solver::{
+            CELLS, NONE, Scene, SolverCount, SolverLoad, SolverMove, SolverNodes, SolverParticles,
+            SolverStore, SolverTiles, SolverTouch, Sorted, Status, THREADS as TILE_THREADS, Tile,
+        },
+    },
 };
 
 /// Recorded rounds that are kept.
@@ -34,12 +40,10 @@ const ROUNDS: usize = 4;
 const MOST_SUBSTEPS: u32 = 64;
 /// Threads of a block over the particles of a scene, or over tiles.
 const THREADS: usize = 256;
-/// Threads of a block of a tile, `THREADS` of the kernels.
-const TILE_THREADS: usize = 128;
 /// Blocks over tiles, at most; each goes on with further tiles.
 const BLOCKS: usize = 16384;
-/// No particle is lost, `NONE` of the kernels.
-const NONE: u32 = u32::MAX;
+/// No particle is lost.
+const NOT_LOST: u32 = NONE as u32;
 
 /// Solvers on a device.
 pub struct Solvers {
@@ -142,48 +146,35 @@ impl Accelerator for Solvers {
     }
 }
 
-/// How far a scene is, `struct Status` of the kernels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(C)]
-struct Status {
-    done: u32,
-    stopped: u32,
-}
-
-// SAFETY: two integers.
-unsafe impl bytemuck::Zeroable for Status {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Status {}
-
 /// Scenes and their memory.
 struct Loaded {
     layout: Layout,
     host: HostParticles,
-    scenes: Buffer,
+    scenes: List<Scene>,
     /// The particles' states; the same sorted, or in the order of the solvers.
-    states: [Buffer; 2],
+    states: [List<f32>; 2],
     /// Cell of each particle, its place among those of the cell, and where each scene's particles are.
-    keys: Buffer,
-    arrivals: Buffer,
-    places: Buffer,
-    tiles: Buffer,
+    keys: List<u32>,
+    arrivals: List<u32>,
+    places: List<u32>,
+    tiles: List<Tile>,
     /// Particles of each cell of the tiles.
-    counts: Buffer,
+    counts: List<u32>,
     /// Places of particles that each scene has given to its tiles, and those of each tile.
-    taken: Buffer,
-    starts: Buffer,
-    ends: Buffer,
+    taken: List<u32>,
+    starts: List<u32>,
+    ends: List<u32>,
     /// Patch of each tile; the tiles with particles, and those with nodes in their patches.
-    slots: Buffer,
-    list: Buffer,
-    touched: Buffer,
-    sorted: Buffer,
-    patches: Buffer,
-    nodes: Buffer,
+    slots: List<u32>,
+    list: List<u32>,
+    touched: List<u32>,
+    sorted: List<Sorted>,
+    patches: List<i64>,
+    nodes: List<[f32; 4]>,
     /// Before and after a substep, in turn.
-    status: [Buffer; 2],
-    drifted: Buffer,
-    lost: Buffer,
+    status: [List<Status>; 2],
+    drifted: List<u32>,
+    lost: List<u32>,
     /// By the number of substeps.
     rounds: Graphs<u32>,
 }
@@ -191,42 +182,38 @@ struct Loaded {
 impl Loaded {
     /// Memory for scenes; `host` is used again if it is large enough.
     fn new(device: &dyn Device, layout: Layout, host: Option<HostParticles>) -> Result<Self> {
-        let number = size_of::<u32>();
-        let (n, tiles, scenes) = (layout.particles, layout.tiles.len(), layout.rows.len());
+        let (n, tiles, scenes) = (layout.particles, layout.tiles.len(), layout.scenes.len());
         let host = match host {
             Some(host) if host.length() >= n => host,
             _ => HostParticles::new(device, round_up(n.max(1), 4))?,
         };
-        let list = |count: usize| device.allocate(count.max(1) * number);
-        let states = || list(NUMBERS * host.length());
-        let status = || device.allocate(scenes.max(1) * size_of::<Status>());
-        let loaded = Self {
-            scenes: device.allocate(size_of_val(&layout.rows[..]).max(1))?,
+        let list = |count: usize| List::new(device, count);
+        let states = || List::new(device, NUMBERS * host.length());
+        let status = || List::new(device, scenes);
+        Ok(Self {
+            scenes: List::of(device, &layout.scenes)?,
             states: [states()?, states()?],
             keys: list(n)?,
             arrivals: list(n)?,
             places: list(n)?,
-            tiles: list(3 * tiles)?,
-            counts: list(TILE * TILE * tiles)?,
+            tiles: List::of(device, &layout.tiles)?,
+            counts: list(CELLS * tiles)?,
             taken: list(scenes)?,
             starts: list(tiles)?,
             ends: list(tiles)?,
             slots: list(tiles)?,
             list: list(layout.most_active())?,
             touched: list(tiles)?,
-            sorted: list(2)?,
-            patches: device.allocate(PATCH * layout.most_active().max(1) * size_of::<i64>())?,
-            nodes: list(4 * layout.nodes)?,
+            sorted: List::new(device, 1)?,
+            patches: List::new(device, PATCH * layout.most_active())?,
+            nodes: List::new(device, layout.nodes)?,
             status: [status()?, status()?],
             drifted: list(scenes)?,
             lost: list(scenes)?,
             rounds: Graphs::new(ROUNDS),
             host,
             layout,
-        };
-        device.write(&loaded.tiles, 0, bytemuck::cast_slice(&loaded.layout.tiles))?;
-        device.write(&loaded.scenes, 0, bytemuck::cast_slice(&loaded.layout.rows))?;
-        Ok(loaded)
+        })
     }
 
     /// Runs an interval of each scene; the particle that was lost, if any. `None` if it was cancelled.
@@ -236,18 +223,18 @@ impl Loaded {
         intervals: &[Interval],
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<Option<Vec<Option<usize>>>> {
-        let scenes = self.layout.rows.len();
+        let scenes = self.layout.scenes.len();
         assert_eq!(intervals.len(), scenes, "an interval for each solver");
         self.layout.set(intervals);
         if scenes == 0 || self.layout.particles == 0 {
             return Ok(Some(vec![None; scenes]));
         }
-        device.write(&self.scenes, 0, bytemuck::cast_slice(&self.layout.rows))?;
+        device.write(&self.scenes, 0, bytemuck::cast_slice(&self.layout.scenes))?;
         let begun =
             |interval: &Interval| Status { done: u32::from(interval.substeps == 0), stopped: 0 };
         let mut status: Vec<Status> = intervals.iter().map(begun).collect();
         device.write(&self.status[0], 0, bytemuck::cast_slice(&status))?;
-        let mut lost = vec![NONE; scenes];
+        let mut lost = vec![NOT_LOST; scenes];
         device.write(&self.lost, 0, bytemuck::cast_slice(&lost))?;
         let most = intervals.iter().map(|interval| interval.substeps).max().unwrap_or_default();
         let substeps = substeps_of_a_round(most);
@@ -256,7 +243,7 @@ impl Loaded {
             .iter()
             .zip(intervals)
             .zip(&lost)
-            .all(|(scene, &lost)| lost != NONE || finished(scene))
+            .all(|(scene, &lost)| lost != NOT_LOST || finished(scene))
         {
             if cancelled() {
                 return Ok(None);
@@ -265,13 +252,13 @@ impl Loaded {
             device.read(&self.status[0], 0, bytemuck::cast_slice_mut(&mut status))?;
             device.read(&self.lost, 0, bytemuck::cast_slice_mut(&mut lost))?;
         }
-        let index = |lost: u32| (lost != NONE).then_some(lost as usize);
+        let index = |lost: u32| (lost != NOT_LOST).then_some(lost as usize);
         Ok(Some(lost.into_iter().map(index).collect()))
     }
 
     /// A launch with a thread for each particle of each scene.
     fn over_particles(&self) -> Shape {
-        Shape::new(self.layout.largest.div_ceil(THREADS), self.layout.rows.len(), THREADS)
+        Shape::new(self.layout.largest.div_ceil(THREADS), self.layout.scenes.len(), THREADS)
     }
 
     /// Particles from the memory of the host.
@@ -281,14 +268,13 @@ impl Loaded {
         }
         let [states, listed] = self.states.each_ref();
         device.write(listed, 0, self.host.bytes())?;
-        let arguments = [
-            self.scenes.address().into(),
-            listed.address().into(),
-            states.address().into(),
-            self.host.length().into(),
-        ];
-        // SAFETY: the arguments of the kernel; all lists are as long as `new` makes them.
-        unsafe { device.launch(Queue::Main, Kernel::SolverLoad, self.over_particles(), &arguments) }
+        let load = SolverLoad {
+            scenes: self.scenes.pointer(),
+            listed: listed.pointer(),
+            base: states.pointer(),
+            n: count(self.host.length()),
+        };
+        launch(device, self.over_particles(), load)
     }
 
     /// Particles to the memory of the host.
@@ -297,16 +283,14 @@ impl Loaded {
             return Ok(());
         }
         let [states, listed] = self.states.each_ref();
-        let arguments = [
-            self.scenes.address().into(),
-            listed.address().into(),
-            states.address().into(),
-            self.places.address().into(),
-            self.host.length().into(),
-        ];
-        let shape = self.over_particles();
-        // SAFETY: as above.
-        unsafe { device.launch(Queue::Main, Kernel::SolverStore, shape, &arguments)? };
+        let store = SolverStore {
+            scenes: self.scenes.pointer(),
+            listed: listed.pointer(),
+            base: states.pointer(),
+            places: self.places.pointer(),
+            n: count(self.host.length()),
+        };
+        launch(device, self.over_particles(), store)?;
         device.read(listed, 0, self.host.bytes_mut())
     }
 
@@ -314,113 +298,118 @@ impl Loaded {
     fn launch_round(&self, device: &dyn Device, substeps: u32) -> Result<()> {
         self.launch_sort(device)?;
         for substep in 0..substeps as usize {
-            let status = [substep % 2, (substep + 1) % 2].map(|k| self.status[k].address());
+            let status = [substep % 2, (substep + 1) % 2].map(|k| self.status[k].pointer());
             self.launch_substep(device, status)?;
         }
         Ok(())
     }
 
     fn launch_sort(&self, device: &dyn Device) -> Result<()> {
-        let length = self.host.length();
         let [from, to] = self.states.each_ref();
-        let tiles = self.layout.tiles.len();
-        for zero in [&self.counts, &self.taken, &self.sorted] {
+        for zero in [&*self.counts, &*self.taken, &*self.sorted] {
             device.clear(Queue::Main, zero)?;
         }
-        let count = [
-            self.scenes.address().into(),
-            from.address().into(),
-            self.keys.address().into(),
-            self.arrivals.address().into(),
-            self.counts.address().into(),
-            length.into(),
-        ];
-        let place = [
-            self.scenes.address().into(),
-            self.tiles.address().into(),
-            self.counts.address().into(),
-            self.taken.address().into(),
-            self.starts.address().into(),
-            self.ends.address().into(),
-            self.slots.address().into(),
-            self.list.address().into(),
-            self.sorted.address().into(),
-            tiles.into(),
-            self.status[0].address().into(),
-            self.drifted.address().into(),
-            self.lost.address().into(),
-            self.layout.rows.len().into(),
-        ];
-        let touch = [
-            self.scenes.address().into(),
-            self.tiles.address().into(),
-            self.slots.address().into(),
-            self.touched.address().into(),
-            self.sorted.address().into(),
-            tiles.into(),
-        ];
-        let rearrange = [
-            self.scenes.address().into(),
-            from.address().into(),
-            to.address().into(),
-            self.keys.address().into(),
-            self.arrivals.address().into(),
-            self.starts.address().into(),
-            self.counts.address().into(),
-            self.places.address().into(),
-            length.into(),
-        ];
-        let over_tiles = Shape::new(tiles.div_ceil(THREADS), 1, THREADS);
-        // SAFETY: as above.
-        unsafe {
-            device.launch(Queue::Main, Kernel::SolverCount, self.over_particles(), &count)?;
-            device.launch(Queue::Main, Kernel::SolverTiles, over_tiles, &place)?;
-            device.launch(Queue::Main, Kernel::SolverTouch, over_tiles, &touch)?;
-            device.launch(Queue::Main, Kernel::SolverMove, self.over_particles(), &rearrange)?;
-        }
+        let (scenes, tiles) = (self.scenes.pointer(), self.tiles.pointer());
+        let (keys, arrivals) = (self.keys.pointer(), self.arrivals.pointer());
+        let (counts, starts, slots) =
+            (self.counts.pointer(), self.starts.pointer(), self.slots.pointer());
+        let (sorted, base) = (self.sorted.pointer(), from.pointer());
+        let (n, tile_count) = (count(self.host.length()), count(self.layout.tiles.len()));
+        let over_tiles = Shape::new(self.layout.tiles.len().div_ceil(THREADS), 1, THREADS);
+        let particles = SolverCount { scenes, base, keys, arrivals, counts, n };
+        launch(device, self.over_particles(), particles)?;
+        launch(
+            device,
+            over_tiles,
+            SolverTiles {
+                scenes,
+                tiles,
+                counts: counts.cast(),
+                taken: self.taken.pointer(),
+                starts,
+                ends: self.ends.pointer(),
+                slots,
+                list: self.list.pointer(),
+                sorted,
+                tile_count,
+                status: self.status[0].pointer(),
+                drifted: self.drifted.pointer(),
+                lost: self.lost.pointer(),
+                scene_count: count(self.layout.scenes.len()),
+            },
+        )?;
+        let touched = self.touched.pointer();
+        let touch = SolverTouch { scenes, tiles, slots, touched, sorted, tile_count };
+        launch(device, over_tiles, touch)?;
+        let (to_base, places) = (to.pointer(), self.places.pointer());
+        launch(
+            device,
+            self.over_particles(),
+            SolverMove {
+                scenes,
+                from_base: base,
+                to_base,
+                keys,
+                arrivals,
+                starts,
+                counts: counts.cast(),
+                places,
+                n,
+            },
+        )?;
         device.copy(from, to)
     }
 
     /// A substep of the scenes that are not done with theirs; `status` before and after.
-    fn launch_substep(&self, device: &dyn Device, status: [Address; 2]) -> Result<()> {
-        let tiles = self.layout.tiles.len();
-        let particles: [Argument; 13] = [
-            self.scenes.address().into(),
-            self.tiles.address().into(),
-            self.list.address().into(),
-            self.sorted.address().into(),
-            self.starts.address().into(),
-            self.ends.address().into(),
-            self.states[0].address().into(),
-            self.host.length().into(),
-            self.nodes.address().into(),
-            self.patches.address().into(),
-            status[0].into(),
-            self.drifted.address().into(),
-            self.lost.address().into(),
-        ];
-        let nodes: [Argument; 12] = [
-            self.scenes.address().into(),
-            self.tiles.address().into(),
-            self.slots.address().into(),
-            self.touched.address().into(),
-            self.sorted.address().into(),
-            self.patches.address().into(),
-            self.nodes.address().into(),
-            status[0].into(),
-            status[1].into(),
-            self.drifted.address().into(),
-            self.lost.address().into(),
-            self.layout.rows.len().into(),
-        ];
-        let active = Shape::new(self.layout.most_active().min(BLOCKS), 1, TILE_THREADS);
-        let all = Shape::new(tiles.min(BLOCKS), 1, TILE * TILE);
-        // SAFETY: as above.
-        unsafe {
-            device.launch(Queue::Main, Kernel::SolverParticles, active, &particles)?;
-            device.launch(Queue::Main, Kernel::SolverNodes, all, &nodes)
-        }
+    fn launch_substep(&self, device: &dyn Device, status: [Pointer<Status>; 2]) -> Result<()> {
+        let (scenes, tiles) = (self.scenes.pointer(), self.tiles.pointer());
+        let (sorted, nodes, patches) =
+            (self.sorted.pointer(), self.nodes.pointer(), self.patches.pointer());
+        let (drifted, lost) = (self.drifted.pointer(), self.lost.pointer());
+        launch(
+            device,
+            Shape::new(self.layout.most_active().min(BLOCKS), 1, TILE_THREADS),
+            SolverParticles {
+                scenes,
+                tiles,
+                list: self.list.pointer(),
+                sorted,
+                starts: self.starts.pointer(),
+                ends: self.ends.pointer(),
+                base: self.states[0].pointer(),
+                n: count(self.host.length()),
+                nodes,
+                patches,
+                status: status[0],
+                drifted,
+                lost,
+            },
+        )?;
+        launch(
+            device,
+            Shape::new(self.layout.tiles.len().min(BLOCKS), 1, CELLS),
+            SolverNodes {
+                scenes,
+                tiles,
+                slots: self.slots.pointer(),
+                touched: self.touched.pointer(),
+                sorted,
+                patches,
+                nodes,
+                status: status[0],
+                next: status[1],
+                drifted,
+                lost,
+                scene_count: count(self.layout.scenes.len()),
+            },
+        )
     }
+}
+
+/// Puts a kernel into the main queue; all lists are as long as [`Loaded::new`] makes them.
+fn launch(device: &dyn Device, shape: Shape, kernel: impl Kernel) -> Result<()> {
+    // SAFETY: as above.
+    unsafe { device.launch(Queue::Main, shape, &kernel) }
 }
 
 /// Substeps of a round in an interval of at most `most`, which ends with one more that only gathers: an even number, because

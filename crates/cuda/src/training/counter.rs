@@ -2,12 +2,14 @@
 
 #![expect(unsafe_code, reason = "memory that is counted only")]
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::{
+    ffi::c_void,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use crate::{
-    device::{Address, Argument, Buffer, Device, HostBuffer, Product, Queue, Shape},
+    device::{Buffer, Device, HostBuffer, Product, Queue, Shape},
     error::Result,
-    kernels::Kernel,
 };
 
 /// Memory that the libraries take for themselves, with the workspaces of products (bytes).
@@ -37,13 +39,13 @@ impl Device for Counter {
     fn allocate(&self, bytes: usize) -> Result<Buffer> {
         self.taken.fetch_add(bytes as u64, Ordering::Relaxed);
         // SAFETY: this device never uses its memory.
-        Ok(unsafe { Buffer::new(Address::NULL, bytes, ()) })
+        Ok(unsafe { Buffer::new(0, bytes, ()) })
     }
 
     /// Nothing of the device.
     fn allocate_host(&self, _: usize) -> Result<HostBuffer> {
         // SAFETY: an empty buffer is nowhere.
-        Ok(unsafe { HostBuffer::new(Address::NULL, 0, ()) })
+        Ok(unsafe { HostBuffer::new(0, 0, ()) })
     }
 
     fn rounds_to_tf32(&self) -> bool {
@@ -70,7 +72,13 @@ impl Device for Counter {
         Ok(())
     }
 
-    unsafe fn launch(&self, _: Queue, _: Kernel, _: Shape, _: &[Argument]) -> Result<()> {
+    unsafe fn launch_named(
+        &self,
+        _: Queue,
+        _: &'static str,
+        _: Shape,
+        _: &mut [*mut c_void],
+    ) -> Result<()> {
         Ok(())
     }
 

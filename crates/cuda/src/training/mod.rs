@@ -30,8 +30,6 @@ use eddy_inference::checkpoint::Weights;
 
 /// Steps whose tables fit on the device at once.
 pub const GROUP: usize = 64;
-/// Parts of a sum of squares, `CHUNKS` of the kernels.
-const CHUNKS: usize = 256;
 
 /// A network that is being trained on a device.
 pub trait InTraining: Send {

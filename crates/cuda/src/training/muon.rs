@@ -4,42 +4,21 @@
 
 use super::{Packing, Tables};
 use crate::{
-    device::{Address, Argument, Buffer, Device, Queue, Shape},
+    device::{Device, Kernel, List, Pointer, Queue, Shape, count},
     error::{CudaError, Result},
-    kernels::Kernel,
+    kernels::training::muon::{self, MUON_PARTS, MuonGram, MuonPolynomial, MuonTensor},
 };
 
-/// Parts of a tensor's longer side, `MUON_PARTS` of the kernels.
-const PARTS: usize = 8;
 /// Root mean square of a step at a learning rate of 1, as on the processor.
 const STEP: f32 = 0.2;
 /// Shared memory that a block may have on an H100, beside a sum's (bytes).
 const SHARED: usize = 226 << 10;
 
-/// `struct MuonTensor` of the kernels.
-#[derive(Clone, Copy)]
-#[repr(C)]
-struct MuonTensor {
-    first: u32,
-    rows: i32,
-    columns: i32,
-    stride: i32,
-    tensor: i32,
-    gram: u32,
-    step: f32,
-}
-
-// SAFETY: numbers of 4 bytes without padding between them.
-unsafe impl bytemuck::Zeroable for MuonTensor {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for MuonTensor {}
-
 /// The tensors that it changes, and memory for its products.
 pub(super) struct Muon {
-    /// `MuonTensor` of each.
-    table: Buffer,
-    /// Parts of the products of each with its transpose, `[PARTS, size, size]`; then the polynomial in place of the first one.
-    grams: Buffer,
+    table: List<MuonTensor>,
+    /// Parts of the products of each with its transpose, `[MUON_PARTS, size, size]`; then the polynomial in place of the first one.
+    grams: List<f32>,
     tensors: usize,
     /// Shared memory of a block, as of [`shared`], at most.
     shared: [usize; 2],
@@ -49,11 +28,11 @@ pub(super) struct Muon {
 
 /// Where weights, their gradients, momentum and average are.
 pub(super) struct Buffers {
-    pub(super) weights: Address,
-    pub(super) gradients: Address,
-    pub(super) momentum: Address,
-    pub(super) average: Address,
-    pub(super) scales: Address,
+    pub(super) weights: Pointer<f32>,
+    pub(super) gradients: Pointer<f32>,
+    pub(super) momentum: Pointer<f32>,
+    pub(super) average: Pointer<f32>,
+    pub(super) scales: Pointer<f32>,
 }
 
 impl Muon {
@@ -78,23 +57,21 @@ impl Muon {
                 return Err(CudaError::Unsupported { setting, expected });
             }
             all.push(MuonTensor {
-                first: (matrix.first + part * columns) as u32,
-                rows: rows as i32,
-                columns: columns as i32,
-                stride: matrix.columns as i32,
-                tensor: (matrix.tensor + 2 * part) as i32,
-                gram: grams as u32,
+                first: count(matrix.first + part * columns),
+                rows: count(rows),
+                columns: count(columns),
+                stride: count(matrix.columns),
+                tensor: count(matrix.tensor + 2 * part),
+                gram: count(grams),
                 step: STEP * (inputs.max(outputs) as f32).sqrt(),
             });
-            grams += PARTS * sides[0] * sides[0];
+            grams += MUON_PARTS * sides[0] * sides[0];
             most_shared = [0, 1].map(|kernel| needed[kernel].max(most_shared[kernel]));
         }
-        let table = device.allocate(size_of_val(all.as_slice()))?;
-        device.write(&table, 0, bytemuck::cast_slice(&all))?;
         let most = all.iter().map(|tensor| (tensor.rows * tensor.columns) as usize).max();
         Ok(Self {
-            table,
-            grams: device.allocate(4 * grams)?,
+            table: List::of(device, &all)?,
+            grams: List::new(device, grams)?,
             tensors: all.len(),
             shared: most_shared,
             most: most.unwrap_or_default(),
@@ -108,43 +85,42 @@ impl Muon {
         buffers: &Buffers,
         tables: &Tables,
     ) -> Result<()> {
+        fn launch(device: &dyn Device, shape: Shape, kernel: impl Kernel) -> Result<()> {
+            // SAFETY: `new` has made the table and the products, for tensors within the other buffers.
+            unsafe { device.launch(Queue::Main, shape, &kernel) }
+        }
         let Buffers { weights, gradients, momentum, average, scales } = *buffers;
-        let (table, grams) = (self.table.address(), self.grams.address());
-        let launch = |kernel, shape, arguments: &[Argument]| {
-            // SAFETY: each call passes the kernel's parameters in type and order; `new` has made the table and the products, for
-            // tensors within the other buffers.
-            unsafe { device.launch(Queue::Main, kernel, shape, arguments) }
-        };
+        let (tensors, grams) = (self.table.pointer(), self.grams.pointer());
         let [rows, squares] = self.shared;
         launch(
-            Kernel::MuonGram,
-            Shape { shared: rows, ..Shape::new(PARTS, self.tensors, 256) },
-            &[table.into(), gradients.into(), momentum.into(), scales.into(), grams.into()],
+            device,
+            Shape { shared: rows, ..Shape::new(MUON_PARTS, self.tensors, 256) },
+            MuonGram { tensors, gradients, momentum, scales, grams },
         )?;
         launch(
-            Kernel::MuonPolynomial,
+            device,
             Shape { shared: squares, ..Shape::new(self.tensors, 1, 256) },
-            &[table.into(), scales.into(), grams.into()],
+            MuonPolynomial { tensors, scales, grams },
         )?;
         launch(
-            Kernel::Muon,
+            device,
             Shape::new((self.most / 4).div_ceil(256), self.tensors, 256),
-            &[
-                table.into(),
-                weights.into(),
-                gradients.into(),
-                momentum.into(),
-                average.into(),
-                scales.into(),
-                grams.into(),
-                tables.schedule.address().into(),
-                tables.progress.address().into(),
-            ],
+            muon::Muon {
+                tensors,
+                weights,
+                gradients,
+                momentum,
+                average,
+                scales,
+                grams,
+                schedule: tables.schedule.pointer(),
+                progress: tables.progress.pointer(),
+            },
         )
     }
 }
 
 /// Shared memory of a block for a tensor's part and for its polynomial, by the tensor's shorter and longer side (bytes).
 fn shared([shorter, longer]: [usize; 2]) -> [usize; 2] {
-    [4 * longer.div_ceil(PARTS) * shorter, 4 * 4 * shorter * shorter]
+    [4 * longer.div_ceil(MUON_PARTS) * shorter, 4 * 4 * shorter * shorter]
 }

@@ -10,40 +10,40 @@ use std::{collections::BTreeMap, sync::Arc};
 use eddy_inference::checkpoint::{Weights, tensors_of_knots};
 
 use super::{
-    CHUNKS, Matrix, Packing, Settings, Tables,
+    Matrix, Packing, Settings, Tables,
     muon::{Buffers, Muon},
 };
 use crate::{
-    device::{Address, Argument, Buffer, Device, Queue, Shape},
+    device::{Buffer, Device, Kernel, List, Pointer, Queue, Shape, count},
     error::Result,
-    kernels::Kernel,
+    kernels::training::{
+        adam::{Adam, CHUNKS, Clip, Finish, Place, SquaresOfGradient},
+        knots::{MixWeights, ShareScales},
+    },
 };
-
-/// Words of a `Place` of the kernels.
-const PLACE: usize = 8;
 
 /// Weights on a device, with what their training needs.
 pub struct Optimizer {
     device: Arc<dyn Device>,
     packing: Packing,
-    /// `Place` of each matrix.
-    places: Buffer,
+    /// Of each matrix.
+    places: List<Place>,
     clip: f32,
     epsilon: f32,
     /// Of a step.
-    pub(crate) weights: Buffer,
-    pub(crate) gradients: Buffer,
+    pub(crate) weights: List<f32>,
+    pub(crate) gradients: List<f32>,
     knots: Option<Knots>,
     /// Moments and averages of each knot, if there are several.
-    first: Buffer,
-    second: Buffer,
-    average: Option<Buffer>,
+    first: List<f32>,
+    second: List<f32>,
+    average: Option<List<f32>>,
     /// Parts of the squares of each tensor's gradient.
-    squares: Buffer,
+    squares: List<f32>,
     /// What each is multiplied by.
-    scales: Buffer,
+    scales: List<f32>,
     /// Squares of their norms.
-    totals: Buffer,
+    totals: List<f32>,
     muon: Option<Muon>,
 }
 
@@ -51,18 +51,18 @@ pub struct Optimizer {
 struct Knots {
     count: usize,
     /// `[knots, size]`.
-    weights: Buffer,
+    weights: List<f32>,
     /// What gradients are multiplied by, `[knots, tensors]`.
-    scales: Buffer,
+    scales: List<f32>,
 }
 
 /// Where the weights of a knot, or the only ones, are, and what changes them.
 struct OfKnot {
-    weights: Address,
-    first: Address,
-    second: Address,
-    average: Address,
-    scales: Address,
+    weights: Pointer<f32>,
+    first: Pointer<f32>,
+    second: Pointer<f32>,
+    average: Pointer<f32>,
+    scales: Pointer<f32>,
 }
 
 impl Optimizer {
@@ -76,18 +76,21 @@ impl Optimizer {
         packing: &Packing,
         settings: &Settings,
     ) -> Result<Self> {
-        let numbers = |count: usize| device.allocate(4 * count);
-        let place = |matrix: &Matrix| -> [u32; PLACE] {
-            let Matrix { first, rows, columns, bias, width, tensor, .. } = *matrix;
+        let numbers = |count: usize| List::new(&**device, count);
+        let place = |matrix: &Matrix| Place {
+            first: count(matrix.first),
+            rows: count(matrix.rows),
+            columns: count(matrix.columns),
+            bias: count(matrix.bias),
+            width: count(matrix.width),
+            tensor: count(matrix.tensor),
+            tensors: count(matrix.tensors()),
             // All parts of a matrix are hidden, or none.
-            let muon = usize::from(settings.muon && matrix.is_hidden(0));
-            [first, rows, columns, bias, width, tensor, matrix.tensors(), muon].map(|n| n as u32)
+            muon: (settings.muon && matrix.is_hidden(0)).into(),
         };
-        let all: Vec<_> = packing.matrices().iter().map(place).collect();
-        let places = device.allocate(size_of_val(all.as_slice()))?;
-        device.write(&places, 0, bytemuck::cast_slice(&all))?;
+        let places: Vec<_> = packing.matrices().iter().map(place).collect();
         Ok(Self {
-            places,
+            places: List::of(&**device, &places)?,
             clip: settings.clip,
             epsilon: settings.epsilon,
             weights: numbers(packing.size)?,
@@ -122,7 +125,7 @@ impl Optimizer {
     }
 
     /// The weights that are trained.
-    fn trained(&self) -> &Buffer {
+    fn trained(&self) -> &List<f32> {
         self.knots.as_ref().map_or(&self.weights, |knots| &knots.weights)
     }
 
@@ -162,7 +165,7 @@ impl Optimizer {
     /// As above.
     pub fn state(&self) -> Result<[Vec<Vec<f32>>; 4]> {
         let count = self.sets();
-        let ordered = |buffer: Option<&Buffer>| match buffer {
+        let ordered = |buffer: Option<&List<f32>>| match buffer {
             Some(buffer) => {
                 let all = self.numbers(buffer, count)?;
                 let of_knot = all.chunks(self.packing.size);
@@ -192,7 +195,7 @@ impl Optimizer {
     }
 
     /// The running average where it lies on the device; the weights themselves where none is kept.
-    pub(crate) fn averaged_weights(&self) -> &Buffer {
+    pub(crate) fn averaged_weights(&self) -> &List<f32> {
         self.average.as_ref().unwrap_or_else(|| self.trained())
     }
 
@@ -212,13 +215,13 @@ impl Optimizer {
     }
 
     /// Where a matrix of the weights is.
-    pub(crate) fn weight(&self, matrix: &Matrix) -> Address {
-        self.weights.address().plus(matrix.first)
+    pub(crate) fn weight(&self, matrix: &Matrix) -> Pointer<f32> {
+        self.weights.pointer().plus(matrix.first)
     }
 
     /// Where its gradient is.
-    pub(crate) fn gradient(&self, matrix: &Matrix) -> Address {
-        self.gradients.address().plus(matrix.first)
+    pub(crate) fn gradient(&self, matrix: &Matrix) -> Pointer<f32> {
+        self.gradients.pointer().plus(matrix.first)
     }
 
     /// The gradients by these matrices, one behind the other in the network, averaged over the devices, their norms, and what
@@ -231,27 +234,28 @@ impl Optimizer {
         let most = |of: fn(&Matrix) -> usize| matrices.iter().map(of).max().unwrap_or_default();
         // A block has 256 times 4 numbers or more.
         let chunks = most(Matrix::size).div_ceil(1024).min(CHUNKS);
-        let squares = self.squares.address();
         self.launch(
             queue,
-            Kernel::SquaresOfGradient,
             Shape {
                 grid: [chunks, most(Matrix::tensors), matrices.len()],
                 ..Shape::new(1, 1, 256)
             },
-            &[self.place(first).into(), self.gradients.address().into(), squares.into()],
+            SquaresOfGradient {
+                places: self.place(first),
+                gradients: self.gradients.pointer(),
+                squares: self.squares.pointer(),
+            },
         )?;
         let tensors = last.tensor + last.tensors() - first.tensor;
         self.launch(
             queue,
-            Kernel::Clip,
             Shape::new(tensors, 1, 256),
-            &[
-                squares.plus(first.tensor * CHUNKS).into(),
-                self.scales.address().plus(first.tensor).into(),
-                self.totals.address().plus(first.tensor).into(),
-                self.clip.into(),
-            ],
+            Clip {
+                squares: self.squares.pointer().plus(first.tensor * CHUNKS),
+                scales: self.scales.pointer().plus(first.tensor),
+                totals: self.totals.pointer().plus(first.tensor),
+                longest: self.clip,
+            },
         )
     }
 
@@ -261,16 +265,15 @@ impl Optimizer {
         let fours = self.packing.size / 4;
         self.launch(
             Queue::Main,
-            Kernel::MixWeights,
             Shape::new(fours.div_ceil(256), 1, 256),
-            &[
-                knots.weights.address().into(),
-                self.weights.address().into(),
-                fours.into(),
-                knots.count.into(),
-                tables.schedule.address().into(),
-                tables.progress.address().into(),
-            ],
+            MixWeights {
+                of_knots: knots.weights.pointer().cast(),
+                weights: self.weights.pointer().cast(),
+                n: count(fours),
+                knots: count(knots.count),
+                schedule: tables.schedule.pointer(),
+                progress: tables.progress.pointer(),
+            },
         )
     }
 
@@ -278,15 +281,15 @@ impl Optimizer {
     fn of_knots(&self) -> impl Iterator<Item = OfKnot> {
         let Packing { size, tensors, .. } = self.packing;
         (0..self.sets()).map(move |knot| {
-            let of_knot = |buffer: &Buffer| buffer.address().plus(knot * size);
+            let of_knot = |list: &List<f32>| list.pointer().plus(knot * size);
             OfKnot {
                 weights: of_knot(self.trained()),
                 first: of_knot(&self.first),
                 second: of_knot(&self.second),
-                average: self.average.as_ref().map_or(Address::NULL, of_knot),
+                average: self.average.as_ref().map_or(Pointer::NULL, of_knot),
                 scales: match &self.knots {
-                    None => self.scales.address(),
-                    Some(knots) => knots.scales.address().plus(knot * tensors),
+                    None => self.scales.pointer(),
+                    Some(knots) => knots.scales.pointer().plus(knot * tensors),
                 },
             }
         })
@@ -300,38 +303,36 @@ impl Optimizer {
             let tensors = self.packing.tensors;
             self.launch(
                 queue,
-                Kernel::ShareScales,
                 Shape::new(tensors.div_ceil(256), knots.count, 256),
-                &[
-                    self.scales.address().into(),
-                    knots.scales.address().into(),
-                    tensors.into(),
-                    tables.schedule.address().into(),
-                    tables.progress.address().into(),
-                ],
+                ShareScales {
+                    scales: self.scales.pointer(),
+                    shared: knots.scales.pointer(),
+                    tensors: count(tensors),
+                    schedule: tables.schedule.pointer(),
+                    progress: tables.progress.pointer(),
+                },
             )?;
         }
         let most = matrices.iter().map(Matrix::size).max().unwrap_or_default();
         self.of_knots().try_for_each(|changed| {
             self.launch(
                 queue,
-                Kernel::Adam,
                 Shape {
                     grid: [(most / 4).div_ceil(256), 1, matrices.len()],
                     ..Shape::new(1, 1, 256)
                 },
-                &[
-                    self.place(first).into(),
-                    changed.weights.into(),
-                    self.gradients.address().into(),
-                    changed.first.into(),
-                    changed.second.into(),
-                    changed.average.into(),
-                    changed.scales.into(),
-                    tables.schedule.address().into(),
-                    tables.progress.address().into(),
-                    self.epsilon.into(),
-                ],
+                Adam {
+                    places: self.place(first),
+                    w: changed.weights.cast(),
+                    g: self.gradients.pointer().cast(),
+                    first: changed.first.cast(),
+                    second: changed.second.cast(),
+                    average: changed.average.cast(),
+                    scales: changed.scales,
+                    schedule: tables.schedule.pointer(),
+                    progress: tables.progress.pointer(),
+                    epsilon: self.epsilon,
+                },
             )
         })
     }
@@ -342,7 +343,7 @@ impl Optimizer {
         self.of_knots().try_for_each(|changed| {
             let buffers = Buffers {
                 weights: changed.weights,
-                gradients: self.gradients.address(),
+                gradients: self.gradients.pointer(),
                 momentum: changed.first,
                 average: changed.average,
                 scales: changed.scales,
@@ -352,34 +353,26 @@ impl Optimizer {
     }
 
     /// Where the place of a matrix is, before those of the following ones.
-    fn place(&self, matrix: &Matrix) -> Address {
-        self.places.address().plus(matrix.number * PLACE)
+    fn place(&self, matrix: &Matrix) -> Pointer<Place> {
+        self.places.pointer().plus(matrix.number)
     }
 
     /// Ends a step.
     pub(crate) fn finish(&self, tables: &Tables) -> Result<()> {
         self.launch(
             Queue::Main,
-            Kernel::Finish,
             Shape::new(1, 1, 256),
-            &[
-                self.totals.address().into(),
-                self.packing.tensors.into(),
-                tables.progress.address().into(),
-                tables.outcomes.address().into(),
-            ],
+            Finish {
+                totals: self.totals.pointer(),
+                tensors: count(self.packing.tensors),
+                progress: tables.progress.pointer(),
+                outcomes: tables.outcomes.pointer(),
+            },
         )
     }
 
-    fn launch(
-        &self,
-        queue: Queue,
-        kernel: Kernel,
-        shape: Shape,
-        arguments: &[Argument],
-    ) -> Result<()> {
-        // SAFETY: every call of this file passes the kernel's parameters in type and order, and places within buffers that
-        // `new` has made for the matrices.
-        unsafe { self.device.launch(queue, kernel, shape, arguments) }
+    fn launch(&self, queue: Queue, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: every call of this file passes places within buffers that `new` has made for the matrices.
+        unsafe { self.device.launch(queue, shape, &kernel) }
     }
 }

@@ -4,16 +4,13 @@
 
 use std::sync::Arc;
 
-use super::{Batch, GROUP, Outcome, Settings, Window, key, window::WORDS};
+use super::{Batch, GROUP, Outcome, Settings, Window, key};
 use crate::{
-    device::{Buffer, Device, Queue},
+    device::{Device, List, Queue},
     error::Result,
-    kernels::{AXES, MATERIALS},
+    kernels::{MATERIALS, common},
+    streams::Body,
 };
-use eddy_inference::checkpoint::MOST_KNOTS;
-
-/// Words of a `Schedule`.
-const SCHEDULE: usize = 12 + MOST_KNOTS;
 
 /// Windows, rates and weights of the steps that the host has prepared, and what came of them.
 pub struct Tables {
@@ -23,18 +20,18 @@ pub struct Tables {
     /// Whether these differ from batch to batch.
     pub(crate) weights_differ: bool,
     batch: usize,
-    /// `Window`s, `[steps, B]`.
-    pub(crate) windows: Buffer,
-    /// `Schedule`s, `[steps]`.
-    pub(crate) schedule: Buffer,
-    /// `Progress`.
-    pub(crate) progress: Buffer,
-    /// `Outcome`s, `[steps]`.
-    pub(crate) outcomes: Buffer,
-    /// Weights of squared errors, `[steps or 1, K, B, MATERIALS]` bodies.
-    pub(crate) error_weights: Buffer,
+    /// `[steps, B]`.
+    pub(crate) windows: List<common::Window>,
+    /// `[steps]`.
+    pub(crate) schedule: List<common::Schedule>,
+    /// One.
+    pub(crate) progress: List<common::Progress>,
+    /// `[steps]`.
+    pub(crate) outcomes: List<common::Outcome>,
+    /// Weights of squared errors, `[steps or 1, K, B, MATERIALS]`.
+    pub(crate) error_weights: List<Body>,
     /// Losses to be averaged over the devices.
-    losses: Buffer,
+    losses: List<f32>,
 }
 
 impl Tables {
@@ -47,7 +44,6 @@ impl Tables {
         settings: &Settings,
         weights_differ: bool,
     ) -> Result<Self> {
-        let numbers = |count: usize| device.allocate(4 * count);
         let Settings { batch, unroll, .. } = *settings;
         let weights = unroll * batch * MATERIALS;
         let steps = if weights_differ { GROUP } else { 1 };
@@ -55,12 +51,12 @@ impl Tables {
             weights,
             weights_differ,
             batch,
-            windows: numbers(GROUP * batch * WORDS)?,
-            schedule: numbers(GROUP * SCHEDULE)?,
-            progress: numbers(1)?,
-            outcomes: numbers(GROUP * 4)?,
-            error_weights: numbers(steps * weights * 2 * AXES)?,
-            losses: numbers(GROUP)?,
+            windows: List::new(&**device, GROUP * batch)?,
+            schedule: List::new(&**device, GROUP)?,
+            progress: List::new(&**device, 1)?,
+            outcomes: List::new(&**device, GROUP)?,
+            error_weights: List::new(&**device, steps * weights)?,
+            losses: List::new(&**device, GROUP)?,
             device: Arc::clone(device),
         })
     }
@@ -93,12 +89,11 @@ impl Tables {
             let found = batch.weights.as_ref().map(Vec::len);
             assert_eq!(found, self.weights_differ.then_some(self.weights), "weights of a batch");
             for (number, window) in batch.windows.iter().enumerate() {
-                windows.extend(window.words(first(step, number, window)));
+                windows.push(window.on_device(first(step, number, window)));
             }
             let Batch { rate, correction, kept, plain_rate, .. } = *batch;
-            schedule.extend([rate, correction, kept, plain_rate].map(f32::to_bits));
-            schedule.extend(key(batch.dropout));
-            schedule.extend(batch.shares.map(f32::to_bits));
+            let (dropout, shares) = (key(batch.dropout), batch.shares);
+            schedule.push(common::Schedule { rate, correction, kept, plain_rate, dropout, shares });
             weights.extend(batch.weights.iter().flatten().copied());
         }
         self.device.write(&self.windows, 0, bytemuck::cast_slice(&windows))?;
@@ -117,22 +112,22 @@ impl Tables {
         }
         self.device.write(&self.losses, 0, bytemuck::cast_slice(numbers))?;
         // SAFETY: `write` has checked the length.
-        unsafe { self.device.average(Queue::Main, self.losses.address(), numbers.len()) }?;
+        unsafe { self.device.average(Queue::Main, self.losses.pointer(), numbers.len()) }?;
         self.device.read(&self.losses, 0, bytemuck::cast_slice_mut(numbers))
     }
 
     /// What came of the steps started last, for the whole batch.
     pub(super) fn outcomes(&self, steps: usize) -> Result<Vec<Outcome>> {
         assert!(steps <= GROUP, "{steps} steps, at most {GROUP}");
-        let mut words = vec![[0u32; 4]; steps];
-        self.device.read(&self.outcomes, 0, bytemuck::cast_slice_mut(&mut words))?;
-        let mut losses: Vec<_> = words.iter().map(|&[loss, ..]| f32::from_bits(loss)).collect();
+        let mut found: Vec<common::Outcome> = vec![bytemuck::Zeroable::zeroed(); steps];
+        self.device.read(&self.outcomes, 0, bytemuck::cast_slice_mut(&mut found))?;
+        let mut losses: Vec<_> = found.iter().map(|outcome| outcome.loss).collect();
         self.average_over_devices(&mut losses)?;
-        let outcome = |(&[_, norm, not_finite, _], loss): (&[u32; 4], f32)| Outcome {
+        let outcome = |(outcome, loss): (&common::Outcome, f32)| Outcome {
             loss,
-            gradient_norm: f32::from_bits(norm),
-            not_finite: not_finite != 0,
+            gradient_norm: outcome.gradient_norm,
+            not_finite: outcome.not_finite != 0,
         };
-        Ok(words.iter().zip(losses).map(outcome).collect())
+        Ok(found.iter().zip(losses).map(outcome).collect())
     }
 }

@@ -1,5 +1,7 @@
 //! Pieces of streams.
 
+use crate::{device::count, kernels::common};
+
 /// A piece of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
@@ -13,22 +15,17 @@ pub struct Window {
     pub noise: Option<[u8; 32]>,
 }
 
-/// Numbers of `struct Window` of the kernels.
-pub(super) const WORDS: usize = 14;
-
 impl Window {
     /// As the kernels have it, where its bodies begin with number `first`.
-    pub(super) fn words(&self, first: u64) -> [u32; WORDS] {
-        let mut words = [0; WORDS];
-        words[0] = first as u32;
-        words[1] = (first >> 32) as u32;
-        words[2] = self.stream as u32;
-        words[3] = u32::from(self.mirrored);
-        if let Some(seed) = self.noise {
-            words[4] = 1;
-            words[6..].copy_from_slice(&key(seed));
+    pub(super) fn on_device(&self, first: u64) -> common::Window {
+        common::Window {
+            first,
+            stream: count(self.stream),
+            mirrored: u32::from(self.mirrored),
+            disturbed: u32::from(self.noise.is_some()),
+            unused: 0,
+            key: self.noise.map(key).unwrap_or_default(),
         }
-        words
     }
 }
 

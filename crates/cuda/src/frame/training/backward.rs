@@ -1,12 +1,16 @@
 //! The gradients of frames, last frames first.
 
 use crate::{
-    device::{Address, Queue, Shape},
+    device::{List, Pointer, Queue, Shape, count},
     error::Result,
-    kernels::Kernel,
+    kernels::frame::{
+        cells::{ActivationBackward, CellsBackward, ClearPadding},
+        encoder::EncoderPointsGradient,
+        loss::LossGradient,
+    },
 };
 
-use super::{BODY, LayerMemory, Training, forward::Decoded, maximum::Maximum};
+use super::{LayerMemory, Training, forward::Decoded, maximum::Maximum};
 
 impl Training {
     /// The gradients of frames `first..first + frames`, and with the first ones the weights' and their change.
@@ -18,45 +22,38 @@ impl Training {
             self.decoded(first, frames);
         let rows = decoded_frames * batch;
         let last = first == 0;
-        let density =
-            self.density_gradient.as_ref().map_or(Address::NULL, |buffer| buffer.address());
         self.launch(
-            Kernel::LossGradient,
             self.particles(decoded_frames),
-            &[
-                self.states.address().into(),
-                self.output.address().into(),
-                self.bodies().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.store.material.address().into(),
-                self.tables.error_weights.address().into(),
-                self.scales.address().into(),
-                density.into(),
-                self.carried.address().into(),
-                self.frames_argument(),
-                from.into(),
-            ],
+            LossGradient {
+                states: self.states.pointer(),
+                output: self.output.pointer(),
+                store: self.bodies(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                material: self.store.material.pointer(),
+                weights: self.tables.error_weights.pointer(),
+                scales: self.scales.pointer(),
+                density: self.density_gradient.as_ref().map_or(Pointer::NULL, List::pointer),
+                carried: self.carried.pointer(),
+                f: self.frames_argument(),
+                first: count(from),
+            },
         )?;
         let all_decoded = (self.frames() - decoded) * batch;
         self.learn(
             last,
             &self.layout.decoder,
-            self.mixed.address(),
-            self.output.address(),
+            self.mixed.pointer(),
+            self.output.pointer(),
             all_decoded,
         )?;
         self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
-        self.launch(
-            Kernel::ActivationBackward,
-            self.units(decoded_frames),
-            &[d_mixed.into(), mixed.into()],
-        )?;
+        self.launch(self.units(decoded_frames), ActivationBackward { d: d_mixed, y: mixed })?;
         self.change(last, &self.layout.decoder)?;
 
         let top = self.layers.len() - 1;
         let signal = self.outputs(top).plus(decoded * batch * wide);
-        self.learn(last, &self.layout.mixer, signal, self.d_mixed.address(), all_decoded)?;
+        self.learn(last, &self.layout.mixer, signal, self.d_mixed.pointer(), all_decoded)?;
         self.backward_product(
             &self.layout.mixer,
             d_mixed,
@@ -82,9 +79,8 @@ impl Training {
             None => {
                 let d_input = self.at(&self.d_input, first, wide);
                 self.launch(
-                    Kernel::ClearPadding,
                     Shape::new(rows.div_ceil(128), 1, 128),
-                    &[d_input.into(), rows.into()],
+                    ClearPadding { d: d_input, rows: count(rows) },
                 )?;
                 Some(&self.d_input)
             }
@@ -97,8 +93,8 @@ impl Training {
         if last {
             self.device.wait(Queue::Side, Queue::Main)?;
             if let Some(mean) = mean {
-                let pooled = self.pooled.address();
-                self.weight_product(&self.layout.pooled, pooled, mean.address(), all)?;
+                let pooled = self.pooled.pointer();
+                self.weight_product(&self.layout.pooled, pooled, mean.pointer(), all)?;
             }
             if let Some(maximum) = &self.maximum {
                 self.learn_maxima(maximum, all)?;
@@ -121,26 +117,25 @@ impl Training {
             return Ok(());
         }
         self.launch(
-            Kernel::EncoderPointsGradient,
             self.particles(1),
-            &[
-                self.at(&self.states, first, self.constants.particles * BODY).into(),
-                self.store.material.address().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.weight(&self.layout.points).into(),
-                self.scaling.address().into(),
-                self.at(&self.d_pooled, first, self.constants.pooled_columns()).into(),
-                self.carried.address().into(),
-            ],
+            EncoderPointsGradient {
+                states: self.at(&self.states, first, self.constants.particles),
+                material: self.store.material.pointer(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                w: self.weight(&self.layout.points),
+                scaling: self.scaling.pointer(),
+                g: self.at(&self.d_pooled, first, self.constants.pooled_columns()),
+                carried: self.carried.pointer(),
+            },
         )
     }
 
     /// Where the outputs of a layer of the core start.
-    pub(super) fn outputs(&self, number: usize) -> Address {
+    pub(super) fn outputs(&self, number: usize) -> Pointer<f32> {
         let layer = &self.layers[number];
         match &layer.dropped {
-            Some(dropped) => dropped.address(),
+            Some(dropped) => dropped.pointer(),
             None => self.at(&layer.states, 1, self.constants.hidden_columns()),
         }
     }
@@ -160,7 +155,7 @@ impl Training {
                 for t in (first..first + frames).rev() {
                     self.cells_backward(layer, gates, t, 1)?;
                     let products = self.at(products, t, gates);
-                    let carried = layer.carried.address();
+                    let carried = layer.carried.pointer();
                     self.backward_product(recurrent, products, carried, batch, true)?;
                 }
             }
@@ -168,18 +163,18 @@ impl Training {
         }
         let (last, all) = (first == 0, self.frames() * batch);
         let (input, d_input) = match number {
-            0 => (self.input.address(), self.at(&self.d_input, first, matrix.rows)),
+            0 => (self.input.pointer(), self.at(&self.d_input, first, matrix.rows)),
             _ => {
                 let gradient = &self.layers[number - 1].gradient;
                 (self.outputs(number - 1), self.at(gradient, first, wide))
             }
         };
         let slopes = self.at(&layer.sums, first, gates);
-        self.learn(last, matrix, input, layer.sums.address(), all)?;
+        self.learn(last, matrix, input, layer.sums.pointer(), all)?;
         self.backward_product(matrix, slopes, d_input, rows, false)?;
         self.change(last, matrix)?;
         if let (Some(recurrent), Some(products)) = (recurrent, &layer.recurrent) {
-            self.learn(last, recurrent, layer.states.address(), products.address(), all)?;
+            self.learn(last, recurrent, layer.states.pointer(), products.pointer(), all)?;
             self.change(last, recurrent)?;
         }
         Ok(())
@@ -194,19 +189,17 @@ impl Training {
         frames: usize,
     ) -> Result<()> {
         let wide = self.constants.hidden_columns();
-        let [sums, products, states, list] = self.cell_arguments(layer, gates, first);
         self.launch(
-            Kernel::CellsBackward,
             self.units(1),
-            &[
-                sums,
-                products,
-                states,
-                list,
-                self.at(&layer.gradient, first, wide).into(),
-                layer.carried.address().into(),
-                frames.into(),
-            ],
+            CellsBackward {
+                sums: self.at(&layer.sums, first, gates),
+                recurrent: self.recurrent(layer, gates, first),
+                states: self.at(&layer.states, first, wide),
+                list: self.numbers_of_states(),
+                d_output: self.at(&layer.gradient, first, wide),
+                carried: layer.carried.pointer(),
+                frames: count(frames),
+            },
         )
     }
 }

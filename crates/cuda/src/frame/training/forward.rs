@@ -1,13 +1,21 @@
 //! Frames through the network, and the loss.
 
 use crate::{
-    device::{Address, Argument, Queue, Shape},
+    device::{Pointer, Queue, Shape, count},
     error::Result,
-    kernels::{AXES, Constants, Kernel},
+    kernels::{
+        AXES, Constants,
+        frame::{
+            cells::{ActivationForward, CellsForward, Dropout},
+            encoder::{Encode, EncodeTensor, Pool, SUMS},
+            loss::{Advance, Density},
+        },
+        training::batch_loss::Loss,
+    },
     training::Settings,
 };
 
-use super::{BODY, LayerMemory, SUMS, Training};
+use super::{LayerMemory, Training};
 
 /// The frames of a segment that the decoder runs on.
 pub(super) struct Decoded {
@@ -16,9 +24,9 @@ pub(super) struct Decoded {
     /// Their number.
     pub(super) frames: usize,
     /// Where they start in the memory of the mixer's outputs, the gradient by these, and the decoder's outputs.
-    pub(super) mixed: Address,
-    pub(super) d_mixed: Address,
-    pub(super) output: Address,
+    pub(super) mixed: Pointer<f32>,
+    pub(super) d_mixed: Pointer<f32>,
+    pub(super) output: Pointer<f32>,
 }
 
 impl Training {
@@ -28,32 +36,25 @@ impl Training {
         let Constants { encoder, particles, .. } = self.constants;
         let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
-        let states: Argument = self.at(&self.states, first, particles * BODY).into();
-        let rest: [Argument; 6] = [
-            self.tables.windows.address().into(),
-            self.tables.progress.address().into(),
-            self.weight(&self.layout.points).into(),
-            self.scaling.address().into(),
-            sums.into(),
-            batch.into(),
-        ];
+        let states = self.at(&self.states, first, particles);
+        let (windows, progress) = (self.tables.windows.pointer(), self.tables.progress.pointer());
+        let (w, scaling) = (self.weight(&self.layout.points), self.scaling.pointer());
         let grid = [self.chunks, batch, frames * encoder.div_ceil(256)];
-        let shape = Shape { grid, block: [256, 1], shared: 0 };
+        let (shape, batch) = (Shape { grid, block: [256, 1], shared: 0 }, count(batch));
         if self.device.rounds_to_tf32() {
-            let material = self.store.material.address().into();
-            let arguments: Vec<_> = [states, material].into_iter().chain(rest).collect();
-            self.launch(Kernel::EncodeTensor, shape, &arguments)?;
+            let material = self.store.material.pointer();
+            self.launch(
+                shape,
+                EncodeTensor { states, material, windows, progress, w, scaling, sums, batch },
+            )?;
         } else {
-            let order =
-                [&self.store.order, &self.store.segments].map(|buffer| buffer.address().into());
-            let arguments: Vec<_> = [states].into_iter().chain(order).chain(rest).collect();
-            self.launch(Kernel::Encode, shape, &arguments)?;
+            let (order, segments) = (self.store.order.pointer(), self.store.segments.pointer());
+            self.launch(
+                shape,
+                Encode { states, order, segments, windows, progress, w, scaling, sums, batch },
+            )?;
         }
-        self.launch(
-            Kernel::Pool,
-            Shape::new(rows, 1, 256),
-            &[sums.into(), pooled.into(), self.chunks.into()],
-        )?;
+        self.launch(Shape::new(rows, 1, 256), Pool { sums, pooled, chunks: count(self.chunks) })?;
         let (matrix, columns) = (&self.layout.pooled, self.constants.input_columns());
         self.product(
             Queue::Main,
@@ -83,23 +84,22 @@ impl Training {
         let rows = frames * batch;
         let signal = signal.plus((from - first) * batch * wide);
         self.forward_product(&self.layout.mixer, signal, mixed, rows)?;
-        self.launch(Kernel::ActivationForward, self.units(frames), &[mixed.into()])?;
+        self.launch(self.units(frames), ActivationForward { y: mixed })?;
         self.forward_product(&self.layout.decoder, mixed, output, rows)?;
         self.launch(
-            Kernel::Advance,
             self.particles(frames),
-            &[
-                self.states.address().into(),
-                self.output.address().into(),
-                self.bodies().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.store.material.address().into(),
-                self.tables.error_weights.address().into(),
-                self.squares.address().into(),
-                self.frames_argument(),
-                from.into(),
-            ],
+            Advance {
+                states: self.states.pointer(),
+                output: self.output.pointer(),
+                store: self.bodies(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                material: self.store.material.pointer(),
+                weights: self.tables.error_weights.pointer(),
+                squares: self.squares.pointer(),
+                f: self.frames_argument(),
+                first: count(from),
+            },
         )
     }
 
@@ -120,10 +120,10 @@ impl Training {
     pub(super) fn core_forward(
         &self,
         number: usize,
-        input: Address,
+        input: Pointer<f32>,
         first: usize,
         frames: usize,
-    ) -> Result<Address> {
+    ) -> Result<Pointer<f32>> {
         let (batch, rows, wide) =
             (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());
         let (layer, (matrix, recurrent)) = (&self.layers[number], &self.layout.core[number]);
@@ -156,39 +156,40 @@ impl Training {
         first: usize,
         frames: usize,
     ) -> Result<()> {
-        let [sums, products, states, list] = self.cell_arguments(layer, gates, first);
         self.launch(
-            Kernel::CellsForward,
             self.units(1),
-            &[sums, products, states, list, frames.into()],
+            CellsForward {
+                sums: self.at(&layer.sums, first, gates),
+                recurrent: self.recurrent(layer, gates, first),
+                states: self.at(&layer.states, first, self.constants.hidden_columns()),
+                list: self.numbers_of_states(),
+                frames: count(frames),
+            },
         )
     }
 
-    /// What both kernels of the cells begin with: sums, products of the last outputs and states, from frame `first` on, and the
-    /// numbers from a layer's outputs of all frames to its cells.
-    pub(super) fn cell_arguments(
+    /// The products of a layer's last outputs from frame `first` on, where its core has them.
+    pub(super) fn recurrent(
         &self,
         layer: &LayerMemory,
         gates: usize,
         first: usize,
-    ) -> [Argument; 4] {
-        let wide = self.constants.hidden_columns();
+    ) -> Pointer<f32> {
         let products = layer.recurrent.as_ref();
-        let list = (self.frames() + 1) * self.settings.batch * wide;
-        [
-            self.at(&layer.sums, first, gates).into(),
-            products.map_or(Address::NULL, |products| self.at(products, first, gates)).into(),
-            self.at(&layer.states, first, wide).into(),
-            (list as u64).into(),
-        ]
+        products.map_or(Pointer::NULL, |products| self.at(products, first, gates))
+    }
+
+    /// From a layer's outputs of all frames to its cells.
+    pub(super) fn numbers_of_states(&self) -> u64 {
+        count((self.frames() + 1) * self.settings.batch * self.constants.hidden_columns())
     }
 
     /// Dropout of a layer's outputs, or of their gradients.
     pub(super) fn dropout(
         &self,
         layer: usize,
-        from: Address,
-        to: Address,
+        from: Pointer<f32>,
+        to: Pointer<f32>,
         first: usize,
         frames: usize,
         ones: f32,
@@ -206,18 +207,17 @@ impl Training {
             let blocks = (rows * hidden).div_ceil(16) + 1;
             let skipped = frame * batch * self.constants.hidden_columns();
             self.launch(
-                Kernel::Dropout,
                 Shape::new(blocks.div_ceil(128), 1, 128),
-                &[
-                    from.plus(skipped).into(),
-                    to.plus(skipped).into(),
-                    self.tables.schedule.address().into(),
-                    self.tables.progress.address().into(),
-                    ((window * hidden) as u64).into(),
-                    rows.into(),
-                    self.settings.dropout.into(),
-                    ones.into(),
-                ],
+                Dropout {
+                    from: from.plus(skipped),
+                    to: to.plus(skipped),
+                    schedule: self.tables.schedule.pointer(),
+                    progress: self.tables.progress.pointer(),
+                    first: count(window * hidden),
+                    rows: count(rows),
+                    rate: self.settings.dropout,
+                    ones,
+                },
             )?;
         }
         Ok(())
@@ -242,42 +242,37 @@ impl Training {
             0.0
         };
         if let Some(gradient) = &self.density_gradient {
-            let mut grid: Vec<u32> =
-                self.grid.iter().flatten().map(|number| number.to_bits()).collect();
-            grid.push(density_nodes as u32);
             self.launch(
-                Kernel::Density,
                 Shape { grid: [unroll, batch, 1], block: [256, 1], shared: 8 * nodes },
-                &[
-                    self.states.address().into(),
-                    self.output.address().into(),
-                    self.bodies().into(),
-                    self.tables.windows.address().into(),
-                    self.tables.progress.address().into(),
-                    self.densities.address().into(),
-                    gradient.address().into(),
-                    self.frames_argument(),
-                    Argument::from_bytes(bytemuck::cast_slice(&grid)),
-                    factor.into(),
-                ],
+                Density {
+                    states: self.states.pointer(),
+                    output: self.output.pointer(),
+                    store: self.bodies(),
+                    windows: self.tables.windows.pointer(),
+                    progress: self.tables.progress.pointer(),
+                    densities: self.densities.pointer(),
+                    gradient: gradient.pointer(),
+                    f: self.frames_argument(),
+                    grid: self.grid,
+                    factor,
+                },
             )?;
         }
         self.launch(
-            Kernel::Loss,
             Shape::new(1, 1, 256),
-            &[
-                self.squares.address().into(),
-                self.constants.particles.div_ceil(256).into(),
-                self.densities.address().into(),
-                factor.into(),
-                self.unroll_argument(),
-                usize::from(relative).into(),
-                error_floor.into(),
-                observed_weight.into(),
-                self.scales.address().into(),
-                self.tables.progress.address().into(),
-                self.tables.outcomes.address().into(),
-            ],
+            Loss {
+                squares: self.squares.pointer(),
+                chunks: count(self.constants.particles.div_ceil(256)),
+                densities: self.densities.pointer(),
+                density_factor: factor,
+                f: self.unroll_argument(),
+                relative: relative.into(),
+                error_floor,
+                observed_weight,
+                scales: self.scales.pointer(),
+                progress: self.tables.progress.pointer(),
+                outcomes: self.tables.outcomes.pointer(),
+            },
         )
     }
 }

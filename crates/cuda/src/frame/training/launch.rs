@@ -2,10 +2,14 @@
 
 use super::{Staging, Training};
 use crate::{
-    device::{Address, Argument, Buffer, Factor, Product, Queue, Shape},
+    device::{Factor, Kernel, List, Pointer, Product, Queue, Shape, count},
     error::Result,
     frame::data::Bodies,
-    kernels::Kernel,
+    kernels::{
+        frame::{loss::Frames, windows::Fetch},
+        training::batch_loss::Unroll,
+    },
+    streams::Body,
     training::{Matrix, Settings},
 };
 
@@ -17,58 +21,46 @@ impl Training {
         self.settings.warm_up + self.settings.unroll - 1
     }
 
-    /// The place of frame `t` in a buffer of so many numbers a window.
-    pub(super) fn at(&self, buffer: &Buffer, t: usize, numbers: usize) -> Address {
-        buffer.address().plus(t * self.settings.batch * numbers)
+    /// The place of frame `t` in a list of so many items a window.
+    pub(super) fn at<T: bytemuck::Pod>(
+        &self,
+        list: &List<T>,
+        t: usize,
+        items: usize,
+    ) -> Pointer<T> {
+        list.pointer().plus(t * self.settings.batch * items)
     }
 
-    /// `struct Unroll` of the kernels.
-    pub(super) fn unroll_argument(&self) -> Argument {
+    pub(super) fn unroll_argument(&self) -> Unroll {
         let Settings { batch, warm_up, unroll, .. } = self.settings;
-        let counts =
-            [batch, warm_up, unroll, self.settings.first_decoded()].map(|count| count as u32);
-        Argument::from_bytes(bytemuck::cast_slice(&counts))
+        let [batch, warm_up, unroll, decoded] =
+            [batch, warm_up, unroll, self.settings.first_decoded()].map(count);
+        Unroll { batch, warm_up, unroll, decoded }
     }
 
-    /// `struct Frames` of the kernels.
-    pub(super) fn frames_argument(&self) -> Argument {
-        let Settings { batch, warm_up, unroll, .. } = self.settings;
+    pub(super) fn frames_argument(&self) -> Frames {
+        let Unroll { batch, warm_up, unroll, decoded } = self.unroll_argument();
         let even = if warm_up > 1 { unroll as f32 / (warm_up - 1) as f32 } else { 0.0 };
-        let counts =
-            [batch, warm_up, unroll, self.settings.first_decoded(), self.tables.weights_step()]
-                .map(|count| count as u32);
-        let numbers = [self.sides, even].into_iter().chain(self.motion.into_iter().flatten());
-        let words: Vec<u32> = counts.into_iter().chain(numbers.map(f32::to_bits)).collect();
-        Argument::from_bytes(bytemuck::cast_slice(&words))
+        let (sides, motion) = (self.sides, self.motion);
+        let weights_step = count(self.tables.weights_step());
+        Frames { batch, warm_up, unroll, decoded, weights_step, sides, even, motion }
     }
 
-    pub(super) fn launch(
-        &self,
-        kernel: Kernel,
-        shape: Shape,
-        arguments: &[Argument],
-    ) -> Result<()> {
-        self.launch_in(Queue::Main, kernel, shape, arguments)
+    pub(super) fn launch(&self, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        self.launch_in(Queue::Main, shape, kernel)
     }
 
-    pub(super) fn launch_in(
-        &self,
-        queue: Queue,
-        kernel: Kernel,
-        shape: Shape,
-        arguments: &[Argument],
-    ) -> Result<()> {
-        // SAFETY: every call of this file passes the kernel's parameters in type and order, and buffers that
-        // `new` has made for these shapes.
-        unsafe { self.device.launch(queue, kernel, shape, arguments) }
+    pub(super) fn launch_in(&self, queue: Queue, shape: Shape, kernel: impl Kernel) -> Result<()> {
+        // SAFETY: every call passes buffers that `new` has made for these shapes.
+        unsafe { self.device.launch(queue, shape, &kernel) }
     }
 
     /// `output = input W` for `rows` rows; W has rows for the input's columns.
     pub(super) fn forward_product(
         &self,
         matrix: &Matrix,
-        input: Address,
-        output: Address,
+        input: Pointer<f32>,
+        output: Pointer<f32>,
         rows: usize,
     ) -> Result<()> {
         self.product(
@@ -85,8 +77,8 @@ impl Training {
     pub(super) fn backward_product(
         &self,
         matrix: &Matrix,
-        slopes: Address,
-        gradient: Address,
+        slopes: Pointer<f32>,
+        gradient: Pointer<f32>,
         rows: usize,
         add: bool,
     ) -> Result<()> {
@@ -104,11 +96,11 @@ impl Training {
     pub(super) fn weight_product(
         &self,
         matrix: &Matrix,
-        input: Address,
-        slopes: Address,
+        input: Pointer<f32>,
+        slopes: Pointer<f32>,
         rows: usize,
     ) -> Result<()> {
-        let gradient = self.optimizer.gradients.address().plus(matrix.first);
+        let gradient = self.optimizer.gradient(matrix);
         self.product(
             Queue::Side,
             [input, slopes, gradient],
@@ -122,7 +114,7 @@ impl Training {
     pub(super) fn product(
         &self,
         queue: Queue,
-        [left, right, result]: [Address; 3],
+        [left, right, result]: [Pointer<f32>; 3],
         transposed: [bool; 2],
         strides: [usize; 3],
         sizes: [usize; 3],
@@ -135,7 +127,7 @@ impl Training {
         unsafe { self.device.multiply(queue, &product) }
     }
 
-    pub(super) fn weight(&self, matrix: &Matrix) -> Address {
+    pub(super) fn weight(&self, matrix: &Matrix) -> Pointer<f32> {
         self.optimizer.weight(matrix)
     }
 
@@ -152,12 +144,12 @@ impl Training {
     }
 
     /// Where the bodies of the step's windows lie in the memory of the device.
-    pub(super) fn bodies(&self) -> Address {
+    pub(super) fn bodies(&self) -> Pointer<Body> {
         match (&self.store.bodies, &self.staging) {
             (Bodies::Device(buffer), _) | (_, Some(Staging { bodies: buffer, .. })) => {
-                buffer.address()
+                buffer.pointer()
             }
-            (Bodies::Host(_), None) => Address::NULL,
+            (Bodies::Host(_), None) => Pointer::NULL,
         }
     }
 
@@ -169,17 +161,16 @@ impl Training {
         let frames = self.settings.warm_up + self.settings.unroll;
         self.launch_in(
             queue,
-            Kernel::Fetch,
             Shape::new(self.settings.batch.min(FETCHING), 1, 256),
-            &[
-                host.address().into(),
-                staging.sources.address().into(),
-                self.tables.progress.address().into(),
-                staging.bodies.address().into(),
-                ahead.into(),
-                (frames * self.constants.particles).into(),
-                self.settings.batch.into(),
-            ],
+            Fetch {
+                host: host.pointer(),
+                sources: staging.sources.pointer(),
+                progress: self.tables.progress.pointer(),
+                staged: staging.bodies.pointer(),
+                ahead: count(ahead),
+                bodies: count(frames * self.constants.particles),
+                batch: count(self.settings.batch),
+            },
         )
     }
 }

@@ -1,14 +1,21 @@
 //! Training through a pooling by the maximum.
 
 use crate::{
-    device::{Buffer, Device, MOST_BLOCKS, Queue, Shape},
+    device::{Device, List, MOST_BLOCKS, Queue, Shape, count},
     error::Result,
     frame::maximum::Points,
-    kernels::{AXES, Constants, Kernel, MATERIALS},
+    kernels::{
+        AXES, Constants, MATERIALS,
+        frame::maximum::{
+            EncodePoints, Largest, MaximumGradient, MaximumPointsGradient, MaximumSlopes,
+            MaximumSum, MeanPart,
+        },
+    },
+    streams::Body,
     training::Settings,
 };
 
-use super::{BODY, Training};
+use super::Training;
 
 /// Memory for the outputs of particles (bytes).
 const POINTS: usize = 256 << 20;
@@ -19,13 +26,13 @@ pub(super) struct Maximum {
     /// Windows whose particles' outputs are in memory at the same time.
     group: usize,
     /// The particles that have the maxima, `[T, B, H]`.
-    which: Buffer,
+    which: List<u32>,
     /// Gradient by the means' part of the core's input, `[T, B, HP]`, where there are means.
-    pub(super) d_mean: Option<Buffer>,
+    pub(super) d_mean: Option<List<f32>>,
     /// Gradients by the first Linear, for each unit of the second, `[H, features + materials, E]`.
-    parts: Buffer,
+    parts: List<f32>,
     /// Gradients by the particles that have the maxima, `[B, H]`, where frames are predicted freely.
-    slopes: Option<Buffer>,
+    slopes: Option<List<Body>>,
 }
 
 impl Maximum {
@@ -37,16 +44,20 @@ impl Maximum {
         rows: usize,
     ) -> Result<Self> {
         let Constants { hidden, encoder, .. } = *constants;
-        let numbers = |count: usize| device.allocate(4 * count);
-        let optional = |is: bool, count: usize| is.then(|| numbers(count)).transpose();
+        let numbers = |count: usize| List::new(device, count);
         let group = Points::rows_within(constants, POINTS).min(rows).min(MOST_BLOCKS);
         Ok(Self {
             points: Points::new(device, constants, group, 1)?,
             group,
-            which: numbers(rows * hidden)?,
-            d_mean: optional(constants.mean(), rows * constants.hidden_columns())?,
+            which: List::new(device, rows * hidden)?,
+            d_mean: constants
+                .mean()
+                .then(|| numbers(rows * constants.hidden_columns()))
+                .transpose()?,
             parts: numbers(hidden * (2 * AXES + MATERIALS) * encoder)?,
-            slopes: optional(settings.unroll > 1, settings.batch * hidden * BODY)?,
+            slopes: (settings.unroll > 1)
+                .then(|| List::new(device, settings.batch * hidden))
+                .transpose()?,
         })
     }
 }
@@ -61,47 +72,44 @@ impl Training {
             let rows = maximum.group.min(all.end - from);
             let points = &maximum.points;
             self.launch(
-                Kernel::EncodePoints,
                 points.shape(particles, rows),
-                &[
-                    self.states.address().plus(from * particles * BODY).into(),
-                    self.store.material.address().into(),
-                    self.tables.windows.address().into(),
-                    self.tables.progress.address().into(),
-                    self.weight(&self.layout.points).into(),
-                    self.scaling.address().into(),
-                    points.inputs.address().into(),
-                    from.into(),
-                    batch.into(),
-                ],
+                EncodePoints {
+                    states: self.states.pointer().plus(from * particles),
+                    material: self.store.material.pointer(),
+                    windows: self.tables.windows.pointer(),
+                    progress: self.tables.progress.pointer(),
+                    w: self.weight(&self.layout.points),
+                    scaling: self.scaling.pointer(),
+                    points: points.inputs.pointer(),
+                    first: count(from),
+                    batch: count(batch),
+                },
             )?;
             let product =
                 points.product(&self.layout.pooled, 0, rows * particles, &self.optimizer.weights);
             // SAFETY: buffers are those that `new` has made for these sizes.
             unsafe { self.device.multiply(Queue::Main, &product) }?;
             self.launch(
-                Kernel::Largest,
                 Points::largest(&self.constants, rows),
-                &[
-                    points.outputs.address().into(),
-                    (points.strides[1] as u64).into(),
-                    self.input.address().plus(from * columns).into(),
-                    maximum.which.address().plus(from * hidden).into(),
-                ],
+                Largest {
+                    outputs: points.outputs.pointer(),
+                    stride: count(points.strides[1]),
+                    input: self.input.pointer().plus(from * columns),
+                    which: maximum.which.pointer().plus(from * hidden),
+                },
             )?;
         }
         Ok(())
     }
 
     /// The gradient by the means' part of the core's input, of frames `first..first + frames`.
-    pub(super) fn mean_part(&self, d_mean: &Buffer, first: usize, frames: usize) -> Result<()> {
+    pub(super) fn mean_part(&self, d_mean: &List<f32>, first: usize, frames: usize) -> Result<()> {
         self.launch(
-            Kernel::MeanPart,
             self.units(frames),
-            &[
-                self.at(&self.d_input, first, self.constants.input_columns()).into(),
-                self.at(d_mean, first, self.constants.hidden_columns()).into(),
-            ],
+            MeanPart {
+                input: self.at(&self.d_input, first, self.constants.input_columns()),
+                mean: self.at(d_mean, first, self.constants.hidden_columns()),
+            },
         )
     }
 
@@ -109,23 +117,22 @@ impl Training {
     pub(super) fn learn_maxima(&self, maximum: &Maximum, rows: usize) -> Result<()> {
         self.launch_in(
             Queue::Side,
-            Kernel::MaximumGradient,
             Shape::new(self.constants.hidden, 1, 256),
-            &[
-                self.states.address().into(),
-                self.store.material.address().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.weight(&self.layout.points).into(),
-                self.scaling.address().into(),
-                self.weight(&self.layout.pooled).into(),
-                self.d_input.address().into(),
-                maximum.which.address().into(),
-                self.optimizer.gradients.address().plus(self.layout.pooled.first).into(),
-                maximum.parts.address().into(),
-                rows.into(),
-                self.settings.batch.into(),
-            ],
+            MaximumGradient {
+                states: self.states.pointer(),
+                material: self.store.material.pointer(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                w: self.weight(&self.layout.points),
+                scaling: self.scaling.pointer(),
+                second: self.weight(&self.layout.pooled),
+                d_input: self.d_input.pointer(),
+                which: maximum.which.pointer(),
+                d_second: self.optimizer.gradient(&self.layout.pooled),
+                parts: maximum.parts.pointer(),
+                rows: count(rows),
+                batch: count(self.settings.batch),
+            },
         )
     }
 
@@ -134,16 +141,12 @@ impl Training {
         let matrix = &self.layout.points;
         self.launch_in(
             Queue::Side,
-            Kernel::MaximumSum,
             Shape {
                 grid: [self.constants.encoder.div_ceil(32), matrix.rows, 1],
                 block: [32, 32],
                 shared: 0,
             },
-            &[
-                maximum.parts.address().into(),
-                self.optimizer.gradients.address().plus(matrix.first).into(),
-            ],
+            MaximumSum { parts: maximum.parts.pointer(), dw: self.optimizer.gradient(matrix) },
         )
     }
 
@@ -154,25 +157,21 @@ impl Training {
         let batch = self.settings.batch;
         let which = self.at(&maximum.which, frame, hidden);
         self.launch(
-            Kernel::MaximumSlopes,
             Shape::new(hidden, batch, 32),
-            &[
-                self.at(&self.states, frame, particles * BODY).into(),
-                self.store.material.address().into(),
-                self.tables.windows.address().into(),
-                self.tables.progress.address().into(),
-                self.weight(&self.layout.points).into(),
-                self.scaling.address().into(),
-                self.weight(&self.layout.pooled).into(),
-                self.at(&self.d_input, frame, self.constants.input_columns()).into(),
-                which.into(),
-                slopes.address().into(),
-            ],
+            MaximumSlopes {
+                states: self.at(&self.states, frame, particles),
+                material: self.store.material.pointer(),
+                windows: self.tables.windows.pointer(),
+                progress: self.tables.progress.pointer(),
+                w: self.weight(&self.layout.points),
+                scaling: self.scaling.pointer(),
+                second: self.weight(&self.layout.pooled),
+                d_input: self.at(&self.d_input, frame, self.constants.input_columns()),
+                which,
+                slopes: slopes.pointer(),
+            },
         )?;
-        self.launch(
-            Kernel::MaximumPointsGradient,
-            self.particles(1),
-            &[which.into(), slopes.address().into(), self.carried.address().into()],
-        )
+        let (slopes, carried) = (slopes.pointer(), self.carried.pointer());
+        self.launch(self.particles(1), MaximumPointsGradient { which, slopes, carried })
     }
 }

@@ -3,9 +3,9 @@
 use std::slice;
 
 use crate::{
-    device::{Address, Queue, Shape},
+    device::{Pointer, Queue, Shape, count},
     error::Result,
-    kernels::{Constants, Kernel},
+    kernels::{Constants, frame::encoder::EncoderGradient},
     training::Matrix,
 };
 
@@ -17,8 +17,8 @@ impl Training {
         &self,
         last: bool,
         matrix: &Matrix,
-        input: Address,
-        slopes: Address,
+        input: Pointer<f32>,
+        slopes: Pointer<f32>,
         rows: usize,
     ) -> Result<()> {
         if !last {
@@ -37,15 +37,14 @@ impl Training {
         if self.constants.mean() {
             self.launch_in(
                 Queue::Side,
-                Kernel::EncoderGradient,
                 Shape { grid: [encoder.div_ceil(32), matrix.rows, 1], block: [32, 32], shared: 0 },
-                &[
-                    self.d_pooled.address().into(),
-                    self.sums.address().into(),
-                    self.optimizer.gradients.address().plus(matrix.first).into(),
-                    rows.into(),
-                    self.chunks.into(),
-                ],
+                EncoderGradient {
+                    g: self.d_pooled.pointer(),
+                    sums: self.sums.pointer(),
+                    dw: self.optimizer.gradient(matrix),
+                    rows: count(rows),
+                    chunks: count(self.chunks),
+                },
             )?;
         }
         if let Some(maximum) = &self.maximum {

@@ -2,14 +2,19 @@
 
 use super::{Training, plan::PARTICLE_THREADS};
 use crate::{
-    device::{Address, Argument, Shape},
+    device::{Pointer, Shape, count},
     error::Result,
-    kernels::Kernel,
+    kernels::{
+        particle::training::{
+            grid::{CELL_THREADS, TrainCells, TrainToNodes},
+            node_layers::TrainTranspose,
+            particles::{TrainAdvance, TrainDecode, TrainEncode},
+        },
+        training::batch_loss::{Loss, Unroll},
+    },
     training::{Matrix, Settings},
 };
 
-/// Threads of a block that lists cells, `CELL_THREADS` of the kernels.
-const CELL_THREADS: usize = 1024;
 /// Blocks that transpose a matrix.
 const TRANSPOSING: usize = 16;
 
@@ -17,18 +22,17 @@ impl Training {
     /// Transposes the matrices for the forward pass.
     pub(super) fn transpose(&self) -> Result<()> {
         self.launch(
-            Kernel::TrainTranspose,
             Shape::new(TRANSPOSING, self.layout.packing.matrices().len(), 256),
-            &[
-                self.matrices.address().into(),
-                self.optimizer.weights.address().into(),
-                self.transposed.address().into(),
-            ],
+            TrainTranspose {
+                matrices: self.matrices.pointer(),
+                w: self.optimizer.weights.pointer(),
+                transposed: self.transposed.pointer(),
+            },
         )
     }
 
-    fn transposed(&self, matrix: &Matrix) -> Address {
-        self.transposed.address().plus(matrix.first)
+    fn transposed(&self, matrix: &Matrix) -> Pointer<f32> {
+        self.transposed.pointer().plus(matrix.first)
     }
 
     /// Frames `first..first + frames` through the network.
@@ -38,47 +42,50 @@ impl Training {
         let (plan, most) = (self.plan(), self.store.most());
         let c0 = self.constants.network.channels[0];
         let cells = Shape::new(1, sheets, CELL_THREADS);
-        self.launch(Kernel::TrainCells, cells, &[plan, sheet.into()])?;
+        self.launch(cells, TrainCells { plan, first: count(sheet) })?;
         let [encoder, second] = &self.layout.encoder;
         self.launch(
-            Kernel::TrainEncode,
             self.tiles(sheets, self.constants.encode_bytes()),
-            &[plan, self.transposed(encoder).into(), self.transposed(second).into(), sheet.into()],
+            TrainEncode {
+                plan,
+                first_matrix: self.transposed(encoder),
+                second_matrix: self.transposed(second),
+                first: count(sheet),
+            },
         )?;
         let shape = self.sums_on_nodes(c0.div_ceil(4) + 1, sheets);
-        self.launch(Kernel::TrainToNodes, shape, &[plan, sheet.into()])?;
+        self.launch(shape, TrainToNodes { plan, first: count(sheet) })?;
         self.layers_on_nodes(&self.node_layers.forward, sheet, sheets)?;
+        let w = self.transposed(&self.layout.context);
         self.launch(
-            Kernel::TrainDecode,
             self.tiles(batch, self.constants.decode_bytes()),
-            &[plan, self.transposed(&self.layout.context).into(), first.into(), frames.into()],
+            TrainDecode { plan, w, first: count(first), frames: count(frames) },
         )?;
         let shape = Self::over(most, PARTICLE_THREADS, sheets);
-        self.launch(Kernel::TrainAdvance, shape, &[plan, sheet.into()])
+        self.launch(shape, TrainAdvance { plan, first: count(sheet) })
     }
 
     /// The loss, once all frames are predicted.
     pub(super) fn loss(&self) -> Result<()> {
         let Settings { batch, warm_up, unroll, relative, error_floor, observed_weight, .. } =
             self.settings;
-        let counts = [batch, warm_up, unroll, 0].map(|count| count as u32);
+        let [batch, warm_up, unroll] = [batch, warm_up, unroll].map(count);
         let plan = &self.memory.plan;
         self.launch(
-            Kernel::Loss,
             Shape::new(1, 1, 256),
-            &[
-                plan.squares.into(),
-                self.store.most().div_ceil(PARTICLE_THREADS).into(),
-                Address::NULL.into(),
-                0.0.into(),
-                Argument::from_bytes(bytemuck::cast_slice(&counts)),
-                usize::from(relative).into(),
-                error_floor.into(),
-                observed_weight.into(),
-                plan.scales.into(),
-                self.tables.progress.address().into(),
-                self.tables.outcomes.address().into(),
-            ],
+            Loss {
+                squares: plan.squares,
+                chunks: count(self.store.most().div_ceil(PARTICLE_THREADS)),
+                densities: Pointer::NULL,
+                density_factor: 0.0,
+                f: Unroll { batch, warm_up, unroll, decoded: 0 },
+                relative: relative.into(),
+                error_floor,
+                observed_weight,
+                scales: plan.scales,
+                progress: self.tables.progress.pointer(),
+                outcomes: self.tables.outcomes.pointer(),
+            },
         )
     }
 }

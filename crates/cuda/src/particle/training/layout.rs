@@ -11,26 +11,21 @@
 //!
 //! Widths are rounded up to 4; the bias is the row behind them.
 
-use eddy_inference::{
-    checkpoint::{Description, grid::GridLayer, layout},
-    kernels::nodes::MAX_LEVELS,
-};
+use eddy_inference::checkpoint::{Description, grid::GridLayer, layout};
 
 use crate::{
+    device::count,
     error::{CudaError, Result},
-    kernels::{AXES, PARTICLE_TRAINING_SOURCE, Program},
+    kernels::{
+        AXES, PARTICLE_TRAINING_SOURCE, Program,
+        particle::training::{node_layers::Transposed, products::WARP_ROWS},
+    },
     particle::layout::{Constants, fitting, four, odd},
     training::{Builder, Matrix, Packing, Part},
 };
 
-/// Particles of a warp, `WARP_ROWS` of the kernels.
-const WARP_ROWS: usize = 16;
-
 /// Bytes of `struct Stencil` of the kernels.
 const STENCIL: usize = 4 * (4 * AXES + 3);
-
-/// The most lists of features at nodes, `MAX_FIELDS` of the kernels: what particles sum up, then the outputs of each layer.
-pub(super) const MAX_FIELDS: usize = 4 * MAX_LEVELS;
 
 /// What the kernels of a training, which also predict, are compiled for.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -199,10 +194,12 @@ impl Layout {
         Self { encoder: encoder_layers, grid, context, core: core_layers, mixer, decoder, packing }
     }
 
-    /// `struct Transposed` of the kernels for every matrix.
-    pub(super) fn transposed(&self) -> Vec<[i32; 3]> {
-        let matrix = |matrix: &Matrix| {
-            [matrix.first, matrix.bias, matrix.columns].map(|number| number as i32)
+    /// Where every matrix is that is to be transposed.
+    pub(super) fn transposed(&self) -> Vec<Transposed> {
+        let matrix = |matrix: &Matrix| Transposed {
+            first: count(matrix.first),
+            inner: count(matrix.bias),
+            columns: count(matrix.columns),
         };
         self.packing.matrices().iter().map(matrix).collect()
     }

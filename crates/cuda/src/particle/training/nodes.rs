@@ -1,72 +1,41 @@
 //! The layers on nodes in either direction, and how they are launched.
 
-#![expect(unsafe_code, reason = "a struct that the device reads")]
-
 use eddy_inference::checkpoint::grid::Stencil;
 
 use super::{
     Training, WARP,
     layout::{Layout, TrainingConstants},
-    plan::Plan,
 };
 use crate::{
-    device::{Address, Argument, Shape},
+    device::{Pointer, Shape, count},
     error::Result,
-    kernels::Kernel,
+    kernels::particle::training::{
+        node_layers::{NODE_LAYER_THREADS, NodeLayer, TrainLayer},
+        plan::{FROM_CHILDREN, NEIGHBOURS, Plan, TO_CHILDREN},
+    },
 };
 
-/// Threads of a block, `NODE_LAYER_THREADS` of the kernels.
-const THREADS: usize = 128;
 /// Warps that share the sums over particles: two for each row of a stencil, `SUM_THREADS` of the kernels.
 const SUM_WARPS: usize = 6;
 /// Nodes and columns of a block.
 const TILE: [usize; 2] = [16, 8];
 
-/// `struct NodeLayer` of the kernels.
-#[derive(Clone, Copy)]
-#[repr(C)]
-pub(super) struct LayerPass {
-    weights: u64,
-    bias: u64,
-    from: u64,
-    to: u64,
-    /// A list that is added; where no gradient passes.
-    add: u64,
-    mask: u64,
-    stencil: i32,
-    /// Level of the nodes that rows are made for.
-    level: i32,
-    width: i32,
-    outputs: i32,
-    rectified: i32,
-    row_step: i32,
-    place_step: i32,
-    unused: i32,
-}
-
-// SAFETY: integers without padding between them: 6 x 8 + 8 x 4 bytes.
-unsafe impl bytemuck::Zeroable for LayerPass {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for LayerPass {}
-
 /// The layers of both passes, in their order.
 pub(super) struct NodeLayers {
-    pub(super) forward: Vec<LayerPass>,
-    pub(super) backward: Vec<LayerPass>,
+    pub(super) forward: Vec<NodeLayer>,
+    pub(super) backward: Vec<NodeLayer>,
 }
 
-/// `NEIGHBOURS`, `FROM_CHILDREN`, `TO_CHILDREN` of the kernels.
+/// A stencil as the kernels number it.
 pub(super) fn stencil_number(stencil: Stencil) -> i32 {
-    match stencil {
-        Stencil::Neighbours => 0,
-        Stencil::Children => 1,
-        Stencil::Parent => 2,
-    }
+    count(match stencil {
+        Stencil::Neighbours => NEIGHBOURS,
+        Stencil::Children => FROM_CHILDREN,
+        Stencil::Parent => TO_CHILDREN,
+    })
 }
-/// `ITSELF` of the kernels.
-pub(super) const ITSELF: i32 = 3;
 
-impl LayerPass {
+impl NodeLayer {
     /// Blocks for so many nodes of a sheet.
     fn blocks(&self, nodes: usize) -> usize {
         let to_children = self.stencil == stencil_number(Stencil::Parent);
@@ -82,7 +51,7 @@ impl NodeLayers {
         layout: &Layout,
         constants: &TrainingConstants,
         plan: &Plan,
-        [transposed, weights]: [Address; 2],
+        [transposed, weights]: [Pointer<f32>; 2],
     ) -> Self {
         let lists = constants.fields();
         let Plan { fields, slopes, .. } = plan;
@@ -94,13 +63,13 @@ impl NodeLayers {
             let places = layer.stencil.places() as i32;
             let level = layer.node_level() as i32;
             let own = transposed.plus(matrix.first);
-            forward.push(LayerPass {
-                weights: own.0,
-                bias: own.plus(matrix.bias * matrix.columns).0,
+            forward.push(NodeLayer {
+                weights: own,
+                bias: own.plus(matrix.bias * matrix.columns),
                 from: fields[from],
                 to: fields[to],
-                add: layer.skip.map_or(0, |skip| fields[skip + 1]),
-                mask: 0,
+                add: layer.skip.map_or(Pointer::NULL, |skip| fields[skip + 1]),
+                mask: Pointer::NULL,
                 stencil: stencil_number(layer.stencil),
                 level,
                 width,
@@ -124,13 +93,13 @@ impl NodeLayers {
             // The lists that a later layer adds have a gradient from there.
             let later =
                 layers.iter().position(|later| later.skip.is_some_and(|skip| skip + 1 == from));
-            backward.push(LayerPass {
-                weights: weights.plus(matrix.first + first as usize).0,
-                bias: 0,
+            backward.push(NodeLayer {
+                weights: weights.plus(matrix.first + first as usize),
+                bias: Pointer::NULL,
                 from: slopes[to],
                 to: slopes[from],
-                add: later.map_or(0, |layer| slopes[layer + 1]),
-                mask: if from == 0 { 0 } else { fields[from] },
+                add: later.map_or(Pointer::NULL, |layer| slopes[layer + 1]),
+                mask: if from == 0 { Pointer::NULL } else { fields[from] },
                 stencil: stencil_number(stencil),
                 level,
                 width: outputs,
@@ -150,15 +119,14 @@ impl Training {
     /// The layers of a pass on `sheets` sheets from `first` on.
     pub(super) fn layers_on_nodes(
         &self,
-        pass: &[LayerPass],
+        pass: &[NodeLayer],
         first: usize,
         sheets: usize,
     ) -> Result<()> {
-        for layer in pass {
+        for &layer in pass {
             let blocks = layer.blocks(self.memory.nodes[layer.level as usize]);
-            let layer = Argument::from_bytes(bytemuck::bytes_of(layer));
-            let shape = Shape::new(blocks, sheets, THREADS);
-            self.launch(Kernel::TrainLayer, shape, &[self.plan(), layer, first.into()])?;
+            let shape = Shape::new(blocks, sheets, NODE_LAYER_THREADS);
+            self.launch(shape, TrainLayer { plan: self.plan(), layer, first: count(first) })?;
         }
         Ok(())
     }

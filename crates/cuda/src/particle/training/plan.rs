@@ -1,6 +1,4 @@
-//! The memory of a training's steps, and the struct through which the kernels know it.
-
-#![expect(unsafe_code, reason = "a struct that the device reads")]
+//! The memory of a training's steps.
 
 use std::sync::Arc;
 
@@ -11,92 +9,23 @@ use eddy_inference::{
 };
 
 use super::{
-    layout::{MAX_FIELDS, TrainingConstants},
-    store::Store,
+    layout::TrainingConstants,
+    store::{Links, Store},
 };
 use crate::{
-    device::{Address, Buffer, Device},
+    device::{Buffer, Device, List, Pointer, Queue, count},
     error::Result,
-    kernels::AXES,
+    kernels::{
+        AXES,
+        particle::training::plan::{MAX_FIELDS, Plan},
+    },
     particle::stream::cells_across,
+    streams::Body,
     training::{Settings, Tables},
 };
 
-/// Numbers of a body.
-const BODY: usize = 2 * AXES;
 /// Particles of a block of the kernels that advance them.
 pub(super) const PARTICLE_THREADS: usize = 256;
-
-/// `struct Plan` of the kernels.
-#[derive(Clone, Copy, Debug)]
-#[repr(C)]
-pub(super) struct Plan {
-    store: u64,
-    counts: u64,
-    material: u64,
-    stiffness: u64,
-    link_first: u64,
-    links: u64,
-    incoming_first: u64,
-    incoming: u64,
-    windows: u64,
-    progress: u64,
-    error_weights: u64,
-    states: u64,
-    starts: u64,
-    order: u64,
-    weights: u64,
-    maps: [u64; MAX_LEVELS],
-    lists: [u64; MAX_LEVELS],
-    around: [u64; MAX_LEVELS],
-    children: [u64; MAX_LEVELS],
-    totals: u64,
-    pub(super) inputs: u64,
-    pub(super) hidden: u64,
-    pub(super) encoded: u64,
-    pub(super) context: u64,
-    pub(super) gates: u64,
-    pub(super) outputs: u64,
-    cells: u64,
-    pub(super) mixed: u64,
-    pub(super) output: u64,
-    pub(super) fields: [u64; MAX_FIELDS],
-    pub(super) by_hidden: u64,
-    pub(super) by_encoded: u64,
-    pub(super) by_context: u64,
-    pub(super) by_mixed: u64,
-    pub(super) slopes: [u64; MAX_FIELDS],
-    cell_counts: u64,
-    cell_of: u64,
-    arrivals: u64,
-    unsorted: u64,
-    by_inputs: u64,
-    by_state: u64,
-    by_output: u64,
-    by_cell: u64,
-    by_expected: u64,
-    by_shape: u64,
-    pub(super) squares: u64,
-    pub(super) scales: u64,
-    batch: u32,
-    warm_up: u32,
-    unroll: u32,
-    most: u32,
-    weights_step: u32,
-    across: [u32; AXES],
-    entries: [u32; MAX_LEVELS],
-    nodes: [u32; MAX_LEVELS],
-    lower: [f32; AXES],
-    extent: [f32; AXES],
-    width: f32,
-    walls: [[f32; AXES]; 2],
-    fall: [f32; AXES],
-    dt: f32,
-    unit: f32,
-    speeds: [[f32; AXES]; 2],
-    sides: f32,
-    even: f32,
-}
 
 impl Plan {
     /// Particles of the largest window.
@@ -110,24 +39,32 @@ impl Plan {
     }
 }
 
-const _: () = assert!(
-    size_of::<Plan>() == 8 * (41 + 4 * MAX_LEVELS + 2 * MAX_FIELDS) + 4 * (26 + 2 * MAX_LEVELS)
-);
-// SAFETY: integers and numbers without padding between them, as the size shows.
-unsafe impl bytemuck::Zeroable for Plan {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Plan {}
-
 /// The memory of a training's steps.
 pub(super) struct Memory {
     pub(super) plan: Plan,
-    /// `plan` where the kernels read it.
-    pub(super) device_plan: Buffer,
+    /// The same where the kernels read it.
+    pub(super) device_plan: List<Plan>,
     /// Most nodes of a window, by level.
     pub(super) nodes: [usize; MAX_LEVELS],
     /// Gradients that go from a frame to the one before, zero after the last frame and where they are cut.
-    pub(super) carried: Vec<Buffer>,
+    pub(super) carried: Carried,
     _lists: Vec<Buffer>,
+}
+
+/// Gradients that go from a frame to the one before: by the core's outputs and cells, the expected velocities, the particles.
+pub(super) struct Carried {
+    output: List<f32>,
+    cell: List<f32>,
+    expected: List<f32>,
+    state: List<Body>,
+}
+
+impl Carried {
+    /// Sets them to zero.
+    pub(super) fn clear(&self, device: &dyn Device) -> Result<()> {
+        let lists: [&Buffer; 4] = [&self.output, &self.cell, &self.expected, &self.state];
+        lists.into_iter().try_for_each(|list| device.clear(Queue::Main, list))
+    }
 }
 
 /// Allocates lists.
@@ -137,12 +74,11 @@ struct Lists<'a> {
 }
 
 impl Lists<'_> {
-    /// A list of numbers of 4 bytes.
-    fn next(&mut self, numbers: usize) -> Result<u64> {
-        let buffer = self.device.allocate(4 * numbers)?;
-        let at = buffer.address();
-        self.kept.push(buffer);
-        Ok(at.0)
+    fn next<T: bytemuck::Pod>(&mut self, items: usize) -> Result<Pointer<T>> {
+        let list = List::new(self.device, items)?;
+        let at = list.pointer();
+        self.kept.push(list.into());
+        Ok(at)
     }
 }
 
@@ -183,13 +119,13 @@ impl Memory {
         let has_cells = network.core.states() > 1;
 
         let mut lists = Lists { device: &**device, kept: Vec::new() };
-        let (mut fields, mut slopes) = ([0; MAX_FIELDS], [0; MAX_FIELDS]);
+        let (mut fields, mut slopes) = ([Pointer::NULL; MAX_FIELDS], [Pointer::NULL; MAX_FIELDS]);
         for (number, (level, width)) in constants.fields().into_iter().enumerate() {
             for list in [&mut fields, &mut slopes] {
                 list[number] = lists.next(sheets * nodes[level] * width)?;
             }
         }
-        let [mut maps, mut node_lists, mut around, mut children] = [[0; MAX_LEVELS]; 4];
+        let [mut maps, mut node_lists, mut around, mut children] = [[Pointer::NULL; MAX_LEVELS]; 4];
         for level in 0..network.levels() {
             let all = sheets * nodes[level];
             maps[level] = lists.next(sheets * entries[level])?;
@@ -200,33 +136,30 @@ impl Memory {
         }
         let together = warm_up * batch;
         let carried_rows = batch * most;
-        let carried = [
-            network.layers * carried_rows * units,
-            if has_cells { network.layers * carried_rows * units } else { 0 },
-            carried_rows * AXES,
-            carried_rows * BODY,
-        ];
-        let carried: Vec<Buffer> =
-            carried.into_iter().map(|count| device.allocate(4 * count)).collect::<Result<_>>()?;
-        let at = |buffer: &Buffer| buffer.address().0;
-        let links = store.links.as_ref();
-        let link = |pick: fn(&super::store::Links) -> &Buffer| {
-            links.map_or(Address::NULL.0, |links| at(pick(links)))
+        let carried_units = network.layers * carried_rows * units;
+        let carried = Carried {
+            output: List::new(&**device, carried_units)?,
+            cell: List::new(&**device, if has_cells { carried_units } else { 0 })?,
+            expected: List::new(&**device, carried_rows * AXES)?,
+            state: List::new(&**device, carried_rows)?,
         };
+        let (link_first, links) = store.links.as_ref().map(Links::own).unwrap_or_default();
+        let (incoming_first, incoming) =
+            store.links.as_ref().map(Links::incoming).unwrap_or_default();
         let states = network.layers * (rows + carried_rows) * units;
         let plan = Plan {
-            store: at(&store.bodies),
-            counts: at(&store.counts),
-            material: at(&store.material),
-            stiffness: at(&store.stiffness),
-            link_first: link(|links| &links.own[0]),
-            links: link(|links| &links.own[1]),
-            incoming_first: link(|links| &links.incoming[0]),
-            incoming: link(|links| &links.incoming[1]),
-            windows: at(&tables.windows),
-            progress: at(&tables.progress),
-            error_weights: at(&tables.error_weights),
-            states: lists.next(rows * BODY)?,
+            store: store.bodies.pointer(),
+            counts: store.counts.pointer(),
+            material: store.material.pointer(),
+            stiffness: store.stiffness.pointer(),
+            link_first,
+            links,
+            incoming_first,
+            incoming,
+            windows: tables.windows.pointer(),
+            progress: tables.progress.pointer(),
+            error_weights: tables.error_weights.pointer(),
+            states: lists.next(rows)?,
             starts: lists.next(sheets * (entries[0] + 1))?,
             order: lists.next(rows)?,
             weights: lists.next(rows * 3 * AXES)?,
@@ -255,34 +188,35 @@ impl Memory {
             arrivals: lists.next(together * most)?,
             unsorted: lists.next(together * most)?,
             by_inputs: lists.next(together * most * network.context_rows())?,
-            by_state: at(&carried[3]),
-            by_output: at(&carried[0]),
-            by_cell: at(&carried[1]),
-            by_expected: at(&carried[2]),
+            by_state: carried.state.pointer(),
+            by_output: carried.output.pointer(),
+            by_cell: carried.cell.pointer(),
+            by_expected: carried.expected.pointer(),
             by_shape: lists.next(carried_rows * AXES * (AXES + 1))?,
             squares: lists.next(sheets * most.div_ceil(PARTICLE_THREADS))?,
             scales: lists.next(2 * batch)?,
-            batch: batch as u32,
-            warm_up: warm_up as u32,
-            unroll: unroll as u32,
-            most: most as u32,
-            weights_step: tables.weights_step() as u32,
-            across: across.map(|cells| cells as u32),
-            entries: entries.map(|entries| entries as u32),
-            nodes: nodes.map(|nodes| nodes as u32),
+            batch: count(batch),
+            warm_up: count(warm_up),
+            unroll: count(unroll),
+            most: count(most),
+            weights_step: count(tables.weights_step()),
+            across: across.map(count),
+            entries: entries.map(count),
+            nodes: nodes.map(count),
             lower: description.domain.lower,
             extent,
             width,
-            walls: [ballistic.lower, ballistic.upper],
+            wall_lower: ballistic.lower,
+            wall_upper: ballistic.upper,
             fall: ballistic.gravity.map(|gravity| gravity * ballistic.dt),
             dt: ballistic.dt,
             unit: scales::velocity_unit(&description.normalization),
-            speeds: [slowest, fastest],
+            slowest,
+            fastest,
             sides: description.domain.lower[0] + description.domain.upper[0],
             even: if warm_up > 1 { unroll as f32 / (warm_up - 1) as f32 } else { 0.0 },
         };
-        let device_plan = device.allocate(size_of::<Plan>())?;
-        device.write(&device_plan, 0, bytemuck::bytes_of(&plan))?;
+        let device_plan = List::of(&**device, &[plan])?;
         Ok(Self { plan, device_plan, nodes, carried, _lists: lists.kept })
     }
 }

@@ -1,28 +1,27 @@
 //! Trajectories of any numbers of particles, with the rest shapes of their solids, in the memory of a device.
 
-use eddy_inference::kernels::rest_shape::{Link, RestShape};
+use eddy_inference::kernels::rest_shape::{self, RestShape};
 
 use crate::{
-    device::{Buffer, Device},
+    device::{Device, List, Pointer, count},
     error::Result,
+    kernels::particle::nodes::Link,
+    streams::Body,
     training::Window,
 };
 
-/// Bytes of a body, and of `struct Link` of the kernels.
-const BODY: usize = 16;
-const LINK: usize = 16;
 /// Links of a particle at most.
 const MOST_LINKS: usize = 12;
 
 /// Trajectories that a device reads.
 pub struct Store {
-    pub(super) bodies: Buffer,
+    pub(super) bodies: List<Body>,
     /// Particles of each stream.
-    pub(super) counts: Buffer,
+    pub(super) counts: List<u32>,
     /// `[streams, most]`.
-    pub(super) material: Buffer,
+    pub(super) material: List<u8>,
     /// The feature of each stream's stiffness.
-    pub(super) stiffness: Buffer,
+    pub(super) stiffness: List<f32>,
     /// Where no particle of any stream has a rest shape, there are no links.
     pub(super) links: Option<Links>,
     /// First body of each stream, and the end of the last one.
@@ -34,9 +33,19 @@ pub struct Store {
 /// Links of all streams, each as it is and mirrored.
 pub(super) struct Links {
     /// First of each particle, `[2 streams, most + 1]`, and the links.
-    pub(super) own: [Buffer; 2],
+    own: (List<u32>, List<Link>),
     /// The same of the links to a particle, which name the ones that they are from.
-    pub(super) incoming: [Buffer; 2],
+    incoming: (List<u32>, List<Link>),
+}
+
+impl Links {
+    pub(super) fn own(&self) -> (Pointer<u32>, Pointer<Link>) {
+        (self.own.0.pointer(), self.own.1.pointer())
+    }
+
+    pub(super) fn incoming(&self) -> (Pointer<u32>, Pointer<Link>) {
+        (self.incoming.0.pointer(), self.incoming.1.pointer())
+    }
 }
 
 impl Store {
@@ -63,7 +72,7 @@ impl Store {
     pub fn bytes(streams: impl IntoIterator<Item = (usize, usize)>) -> u64 {
         let bytes = |(particles, frames): (usize, usize)| {
             // Links there and back, as they are and mirrored, and where they begin.
-            particles * (frames * BODY + 4 * (MOST_LINKS * LINK + 4) + 1)
+            particles * (frames * size_of::<Body>() + 4 * (MOST_LINKS * size_of::<Link>() + 4) + 1)
         };
         streams.into_iter().map(|stream| bytes(stream) as u64).sum()
     }
@@ -72,7 +81,7 @@ impl Store {
 /// Copies streams to a device, frame by frame.
 pub struct StoreWriter<'a> {
     device: &'a dyn Device,
-    bodies: Buffer,
+    bodies: List<Body>,
     most: usize,
     particles: Vec<usize>,
     materials: Vec<u8>,
@@ -88,18 +97,22 @@ pub struct StoreWriter<'a> {
 #[derive(Default)]
 struct Lists {
     first: Vec<u32>,
-    links: Vec<[u32; 4]>,
+    links: Vec<Link>,
 }
 
 impl Lists {
     /// Adds the links of each particle of a stream; further particles, up to `most`, have none.
-    fn add<'l>(&mut self, links: impl Iterator<Item = &'l [Link]>, most: usize) {
+    fn add<'l>(&mut self, links: impl Iterator<Item = &'l [rest_shape::Link]>, most: usize) {
         let end = self.first.len() + most + 1;
         for own in links {
-            self.first.push(self.links.len() as u32);
-            self.links.extend(own.iter().map(|Link { particle, coefficient: [x, y], share }| {
-                [*particle, x.to_bits(), y.to_bits(), share.to_bits()]
-            }));
+            self.first.push(count(self.links.len()));
+            self.links.extend(own.iter().map(
+                |&rest_shape::Link { particle, coefficient, share }| Link {
+                    particle,
+                    coefficient,
+                    share,
+                },
+            ));
         }
         self.first.resize(end, self.links.len() as u32);
     }
@@ -113,7 +126,7 @@ impl<'a> StoreWriter<'a> {
     pub fn new(device: &'a dyn Device, most: usize, bodies: usize) -> Result<Self> {
         Ok(Self {
             device,
-            bodies: device.allocate(BODY * bodies)?,
+            bodies: List::new(device, bodies)?,
             most,
             particles: Vec::new(),
             materials: Vec::new(),
@@ -142,7 +155,8 @@ impl<'a> StoreWriter<'a> {
             let mut back = vec![Vec::new(); rest.len()];
             for particle in 0..rest.len() {
                 for link in rest.links(particle) {
-                    back[link.particle as usize].push(Link { particle: particle as u32, ..*link });
+                    let from = rest_shape::Link { particle: count(particle), ..*link };
+                    back[link.particle as usize].push(from);
                 }
             }
             self.own.add((0..rest.len()).map(|particle| rest.links(particle)), self.most);
@@ -161,7 +175,7 @@ impl<'a> StoreWriter<'a> {
         assert_eq!(Some(&bodies.len()), self.particles.last(), "bodies of a frame");
         let first = self.written as usize;
         self.written += bodies.len() as u64;
-        self.device.write(&self.bodies, BODY * first, bytemuck::cast_slice(bodies))
+        self.device.write(&self.bodies, size_of::<Body>() * first, bytemuck::cast_slice(bodies))
     }
 
     /// The store.
@@ -170,24 +184,18 @@ impl<'a> StoreWriter<'a> {
     /// As [`Self::new`].
     pub fn finish(mut self) -> Result<Store> {
         self.first.push(self.written);
-        let keep = |bytes: &[u8]| -> Result<Buffer> {
-            let buffer = self.device.allocate(bytes.len())?;
-            self.device.write(&buffer, 0, bytes)?;
-            Ok(buffer)
-        };
-        let counts: Vec<u32> = self.particles.iter().map(|&count| count as u32).collect();
-        let lists = |lists: &Lists| -> Result<[Buffer; 2]> {
-            let Lists { first, links } = lists;
-            Ok([keep(bytemuck::cast_slice(first))?, keep(bytemuck::cast_slice(links))?])
+        let counts: Vec<u32> = self.particles.iter().map(|&particles| count(particles)).collect();
+        let lists = |Lists { first, links }: &Lists| -> Result<(List<u32>, List<Link>)> {
+            Ok((List::of(self.device, first)?, List::of(self.device, links)?))
         };
         let links = match self.own.links.is_empty() {
             true => None,
             false => Some(Links { own: lists(&self.own)?, incoming: lists(&self.incoming)? }),
         };
         Ok(Store {
-            counts: keep(bytemuck::cast_slice(&counts))?,
-            material: keep(&self.materials)?,
-            stiffness: keep(bytemuck::cast_slice(&self.stiffness))?,
+            counts: List::of(self.device, &counts)?,
+            material: List::of(self.device, &self.materials)?,
+            stiffness: List::of(self.device, &self.stiffness)?,
             links,
             bodies: self.bodies,
             first: self.first,

@@ -1,62 +1,33 @@
 //! The gradients by the weights, once those by all sums are there, and the optimizer.
 
-#![expect(unsafe_code, reason = "a struct that the device reads")]
-
 use super::{
     Training, WARP,
     layout::{Layout, TrainingConstants},
-    nodes::{ITSELF, stencil_number},
-    plan::Plan,
+    nodes::stencil_number,
 };
 use crate::{
-    device::{Buffer, Device, Queue, Shape},
+    device::{Device, List, Pointer, Queue, Shape, count},
     error::Result,
-    kernels::Kernel,
+    kernels::particle::training::{
+        node_layers::{
+            OUTER_THREADS as THREADS, OUTER_TILES, Outer, TrainFinite, TrainOuter, TrainSum,
+        },
+        plan::{ITSELF, Plan},
+    },
     training::Settings,
 };
 use eddy_inference::checkpoint::grid::Stencil;
 
 /// Blocks of a matrix, at least about so many where there are frames enough.
 const BLOCKS: usize = 128;
-/// Threads of a block, `OUTER_THREADS` of the kernels.
-const THREADS: usize = 256;
-/// Tiles that a warp has at most, `OUTER_TILES` of the kernels.
-const OF_WARP: usize = 8;
 /// Rows and columns of a tile; the most tiles of a block along both, and in all.
 const TILE: [usize; 2] = [16, 8];
 const HIGH: usize = 10;
 const WIDE: usize = 16;
-const TILES: usize = THREADS / WARP * OF_WARP;
+const TILES: usize = THREADS / WARP * OUTER_TILES;
 /// Rows of nodes and of particles that a block has at a time: enough to hide the time that memory takes.
 const NODE_ROWS: usize = 16;
 const PARTICLE_ROWS: usize = 32;
-
-/// `struct Outer` of the kernels.
-#[derive(Clone, Copy)]
-#[repr(C)]
-struct Outer {
-    x: u64,
-    by: u64,
-    first: i32,
-    stencil: i32,
-    level: i32,
-    width: i32,
-    x_stride: i32,
-    outputs: i32,
-    stride: i32,
-    gap: i32,
-    rows: i32,
-    left: i32,
-    left_end: i32,
-    right: i32,
-    right_end: i32,
-    unused: i32,
-}
-
-// SAFETY: integers without padding between them: 2 x 8 + 14 x 4 bytes.
-unsafe impl bytemuck::Zeroable for Outer {}
-// SAFETY: as above.
-unsafe impl bytemuck::Pod for Outer {}
 
 /// Length of a row in shared memory, `outer_stride` of the kernels.
 fn stride(width: usize) -> usize {
@@ -66,7 +37,7 @@ fn stride(width: usize) -> usize {
 /// Where the rows are that a matrix is multiplied by, and the gradients by its products.
 #[derive(Clone, Copy)]
 struct Rows {
-    at: [u64; 2],
+    at: [Pointer<f32>; 2],
     /// Numbers of a row that take part.
     widths: [usize; 2],
     /// Numbers from a row to the next one.
@@ -105,14 +76,14 @@ impl NodeRows {
     fn number(self) -> i32 {
         match self {
             Self::Layer(stencil) => stencil_number(stencil),
-            Self::Bias => ITSELF,
+            Self::Bias => count(ITSELF),
         }
     }
 }
 
 impl Rows {
     /// Rows of particles.
-    fn of_particles(x: (u64, usize), by: (u64, usize)) -> Self {
+    fn of_particles(x: (Pointer<f32>, usize), by: (Pointer<f32>, usize)) -> Self {
         let widths = [x.1, by.1];
         Self { at: [x.0, by.0], widths, strides: widths, nodes: None, gap: 0 }
     }
@@ -135,19 +106,19 @@ impl Rows {
                 table.push(Outer {
                     x: self.at[0],
                     by: self.at[1],
-                    first: first as i32,
+                    first: count(first),
                     stencil,
                     level,
-                    width: self.widths[0] as i32,
-                    x_stride: self.strides[0] as i32,
-                    outputs: self.widths[1] as i32,
-                    stride: self.strides[1] as i32,
-                    gap: self.gap as i32,
-                    rows: rows as i32,
-                    left: left as i32,
-                    left_end: (left + high_step).min(height) as i32,
-                    right: right as i32,
-                    right_end: (right + wide_step).min(columns) as i32,
+                    width: count(self.widths[0]),
+                    x_stride: count(self.strides[0]),
+                    outputs: count(self.widths[1]),
+                    stride: count(self.strides[1]),
+                    gap: count(self.gap),
+                    rows: count(rows),
+                    left: count(left),
+                    left_end: count((left + high_step).min(height)),
+                    right: count(right),
+                    right_end: count((right + wide_step).min(columns)),
                     unused: 0,
                 });
             }
@@ -170,14 +141,14 @@ struct OuterLaunch {
 pub(super) struct Outers {
     /// Shares of a window's frames that are summed up on their own.
     pub(super) splits: usize,
-    /// `Outer` of the kernels for every block along y.
-    table: Buffer,
+    /// For every block along y.
+    table: List<Outer>,
     /// Of particles and of nodes, which take so many rows at a time.
     all: Vec<OuterLaunch>,
     /// `[B, splits, weights]`.
-    parts: Buffer,
+    parts: List<f32>,
     /// Whether a window's gradient is not finite, `[B]`.
-    broken: Buffer,
+    broken: List<u32>,
 }
 
 impl Outers {
@@ -202,14 +173,12 @@ impl Outers {
             let shape = Shape { shared, ..Shape::new(batch, table.len() - begun, THREADS) };
             all.push(OuterLaunch { shape, first: begun });
         }
-        let buffer = device.allocate(size_of_val(table.as_slice()))?;
-        device.write(&buffer, 0, bytemuck::cast_slice(&table))?;
         Ok(Self {
             splits,
-            table: buffer,
+            table: List::of(device, &table)?,
             all,
-            parts: device.allocate(4 * batch * splits * layout.packing.size)?,
-            broken: device.allocate(4 * batch)?,
+            parts: List::new(device, batch * splits * layout.packing.size)?,
+            broken: List::new(device, batch)?,
         })
     }
 }
@@ -265,11 +234,11 @@ fn rows(
     let frame = rows / plan.frames();
     let outputs = |layer: usize, after: usize| {
         let first = layer * (rows + frame) + after * frame;
-        (plan.outputs + 4 * (first * units) as u64, units)
+        (plan.outputs.plus(first * units), units)
     };
     for (layer, (matrix, recurrent)) in layout.core.iter().enumerate() {
         let slots = constants.slots();
-        let gates = (plan.gates + 4 * (layer * rows * slots) as u64, matrix.columns);
+        let gates = (plan.gates.plus(layer * rows * slots), matrix.columns);
         let input = match layer {
             0 => (plan.context, units),
             _ => outputs(layer - 1, 1),
@@ -296,17 +265,19 @@ impl Training {
     pub(super) fn add_gradients(&self, first: usize, shares: usize) -> Result<()> {
         let Outers { splits, table, all, parts, .. } = &self.outers;
         for OuterLaunch { shape, first: outer } in all {
-            let arguments = [
-                self.plan(),
-                table.address().plus_bytes(outer * size_of::<Outer>()).into(),
-                parts.address().into(),
-                (*splits).into(),
-                first.into(),
-                self.layout.packing.size.into(),
-            ];
             let [blocks, outers, _] = shape.grid;
-            let shape = Shape { grid: [blocks * shares, outers, 1], ..*shape };
-            self.launch_in(Queue::Side, Kernel::TrainOuter, shape, &arguments)?;
+            self.launch_in(
+                Queue::Side,
+                Shape { grid: [blocks * shares, outers, 1], ..*shape },
+                TrainOuter {
+                    plan: self.plan(),
+                    outers: table.pointer().plus(*outer),
+                    parts: parts.pointer(),
+                    splits: count(*splits),
+                    first: count(first),
+                    size: count(self.layout.packing.size),
+                },
+            )?;
         }
         Ok(())
     }
@@ -315,26 +286,14 @@ impl Training {
     pub(super) fn learn(&self) -> Result<()> {
         let (batch, size) = (self.settings.batch, self.layout.packing.size);
         let Outers { splits, parts, broken, .. } = &self.outers;
-        let (parts, ends) = (parts.address(), [(*splits).into(), size.into()]);
         self.device.clear(Queue::Main, broken)?;
-        let [splits_argument, size_argument] = ends;
-        self.launch(
-            Kernel::TrainFinite,
-            Shape::new(size.div_ceil(16 * THREADS), batch * splits, THREADS),
-            &[parts.into(), broken.address().into(), splits_argument, size_argument],
-        )?;
-        self.launch(
-            Kernel::TrainSum,
-            Shape::new(size.div_ceil(THREADS), 1, THREADS),
-            &[
-                parts.into(),
-                broken.address().into(),
-                self.optimizer.gradients.address().into(),
-                batch.into(),
-                splits_argument,
-                size_argument,
-            ],
-        )?;
+        let by_window = Shape::new(size.div_ceil(16 * THREADS), batch * splits, THREADS);
+        let by_weight = Shape::new(size.div_ceil(THREADS), 1, THREADS);
+        let (parts, broken) = (parts.pointer(), broken.pointer());
+        let [windows, splits, size] = [batch, *splits, size].map(count);
+        let gradients = self.optimizer.gradients.pointer();
+        self.launch(by_window, TrainFinite { parts, broken, splits, size })?;
+        self.launch(by_weight, TrainSum { parts, broken, gradients, windows, splits, size })?;
         let matrices = self.layout.packing.matrices();
         self.optimizer.measure(Queue::Main, matrices)?;
         self.optimizer.change(Queue::Main, matrices, &self.tables)?;

@@ -312,7 +312,9 @@ extern "C" __global__ void __launch_bounds__(256) particle_bodies_join(const Str
 
 // Sums over the particles of a body. A number is the sum of whole parts and of fractions in units of 2^-32: as integers, the
 // sums of cells give the same bits in any order.
-enum Quantity { COUNT, X, V = X + 2, NEXT_X = V + 2, NEXT_V = NEXT_X + 2, SQUARE = NEXT_V + 2, NEXT_SQUARE, TURN_XV, TURN_XX, TURN_NEXT, STRETCH, OBSERVED_V, QUANTITIES = OBSERVED_V + 2 };
+#define QUANTITIES 17
+enum Quantity { COUNT, X, V = X + 2, NEXT_X = V + 2, NEXT_V = NEXT_X + 2, SQUARE = NEXT_V + 2, NEXT_SQUARE, TURN_XV, TURN_XX, TURN_NEXT, STRETCH, OBSERVED_V, LAST = OBSERVED_V + 1 };
+static_assert(LAST + 1 == QUANTITIES, "a place for each quantity");
 struct BodySums {
   u64 sums[QUANTITIES][2];
   u64 fastest;          // bits of the largest mean squared speed of a cell

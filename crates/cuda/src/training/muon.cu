@@ -1,7 +1,7 @@
 // Muon (Jordan et al. 2024) for the weights of hidden layers, launched by `training/muon.rs`; `muon.rs` of eddy-learning on the
 // processor. The momentum U of a tensor is multiplied by polynomials of the smaller of U U^T and U^T U, which is `size` wide, so that
 // its singular values come to about 1.
-#define MUON_PARTS 8 // PARTS of the host
+#define MUON_PARTS 8
 // As on the processor:
 #define MUON_MOMENTUM 0.95f
 #define MUON_ITERATIONS 5
