@@ -14,11 +14,12 @@ use std::{
 
 /// Numbers that the host gives to the compiler of the kernels (`Program::definitions`) and that the lengths of lists depend on:
 /// their names in CUDA and in Rust.
-const OF_THE_HOST: [(&str, &str); 4] = [
+const OF_THE_HOST: [(&str, &str); 5] = [
     ("DIM", "crate::kernels::AXES"),
     ("MATERIALS", "crate::kernels::MATERIALS"),
     ("MAX_LEVELS", "eddy_inference::kernels::nodes::MAX_LEVELS"),
     ("MAX_LISTS", "eddy_inference::checkpoint::grid::MAX_LISTS"),
+    ("RULES", "eddy_inference::checkpoint::Rule::ALL.len()"),
 ];
 
 #[expect(
@@ -322,13 +323,6 @@ impl All {
             text += "}\n";
         }
         text += &"}\n".repeat(open.len());
-        let kernels = self.files.iter().flat_map(|file| &file.kernels);
-        let names: Vec<_> = kernels.map(|(name, _)| format!("{name:?}")).collect();
-        let _ = writeln!(
-            text,
-            "/// The names of all kernels.\npub const NAMES: &[&str] = &[{}];",
-            names.join(", ")
-        );
         Ok(text)
     }
 

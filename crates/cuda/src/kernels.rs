@@ -40,15 +40,13 @@ const SOURCE: &[&str] = &[
     include_str!("frame/maximum.cu"),
 ];
 
-/// The kernels of the particle model, in parts.
+/// The kernels of the particle model but for those of its rules, in parts.
 pub(crate) const PARTICLE_SOURCE: &[&str] = &[
     include_str!("base.cu"),
     include_str!("common.cu"),
     cell::DEVICE,
     include_str!("particle/nodes.cu"),
     include_str!("particle/layers.cu"),
-    include_str!("particle/rules.cu"),
-    include_str!("particle/elastic.cu"),
 ];
 
 /// What its training needs beside them.
@@ -75,10 +73,20 @@ pub trait Program {
     fn definitions(&self) -> Vec<(&'static str, usize)>;
 
     /// The names of the kernels in the text.
-    fn kernels(&self) -> Vec<&'static str> {
+    fn kernels(&self) -> Vec<String> {
         let source = self.source();
-        NAMES.iter().copied().filter(|name| source.contains(&format!(" {name}("))).collect()
+        let declared = source.split("extern \"C\" __global__ void").skip(1);
+        declared
+            .map(|text| text[..text.find(") {").unwrap_or(0)].to_owned())
+            .filter_map(name_of)
+            .collect()
     }
+}
+
+/// The name in the declaration of a kernel: the last word before the list of its parameters.
+fn name_of(declared: String) -> Option<String> {
+    let (before, _) = declared.rsplit_once('(')?;
+    before.rsplit(|letter: char| letter.is_whitespace()).next().map(str::to_owned)
 }
 
 /// Materials that the kernels know, `Material::COUNT` of eddy-frames.

@@ -65,10 +65,14 @@ pub fn messages() -> String {
 pub fn checkpoint() -> String {
     let source = Source::of(&[
         "crates/inference/src/checkpoint/description.rs",
-        "crates/inference/src/checkpoint/elastic.rs",
         "crates/inference/src/checkpoint/network.rs",
         "crates/inference/src/ops/cell/mod.rs",
-        "crates/inference/src/checkpoint/rules.rs",
+        "crates/inference/src/ops/rules/mod.rs",
+        "crates/inference/src/ops/rules/elastic/constants.rs",
+        "crates/inference/src/ops/rules/area/mod.rs",
+        "crates/inference/src/ops/rules/shape/mod.rs",
+        "crates/inference/src/ops/rules/flight/mod.rs",
+        "crates/inference/src/ops/rules/rest/mod.rs",
         "crates/frames/src/lib.rs",
     ]);
     let error_model = Source::of(&[

@@ -74,7 +74,7 @@ pub struct Gpu {
     peers: Option<Peers>,
     context: Arc<CudaContext>,
     streams: [Arc<CudaStream>; 4],
-    kernels: HashMap<&'static str, CudaFunction>,
+    kernels: HashMap<String, CudaFunction>,
     products: Products,
     recordings: Recordings,
 }
@@ -126,7 +126,7 @@ impl Gpu {
         };
         let mut kernels = HashMap::new();
         for kernel in program.kernels() {
-            let function = module.load_function(kernel).context("cuModuleGetFunction")?;
+            let function = module.load_function(&kernel).context("cuModuleGetFunction")?;
             kernels.insert(kernel, function);
         }
         let products = Products::new(&streams[0], precision, &recordings)?;

@@ -1,4 +1,4 @@
-// The rule `elastic`: bodies of jelly that nothing else is close to move by their elasticity (`rules/elastic.rs` and `kernels/lattice` of
+// The rule `elastic`: bodies of jelly that nothing else is close to move by their elasticity (`ops/rules/elastic` and `kernels/lattice` of
 // eddy-inference).
 
 // A particle or a node, and its weight.
@@ -32,7 +32,6 @@ struct Lattice {
   float mu, lambda, viscosity, wall_distance, wall_stiffness, rebound, clear_distance, most_stretch, most_error, small_error;
   int steps, unused;
 };
-#define ELASTIC_THREADS 512
 // Threads that look around a part of the surface.
 #define PART_THREADS 8
 // Largest change of a node's velocity, speed away from a wall from which on it pushes least: `FASTEST` and `REBOUNDING` of eddy-inference.
@@ -301,7 +300,7 @@ __device__ __forceinline__ void elastic_motion(const Stream& s, const Lattice& l
 }
 
 // A block has a body. grid (bodies, B), block ELASTIC_THREADS
-extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) particle_elastic(const Stream* __restrict__ streams) {
+extern "C" __global__ void __launch_bounds__(ELASTIC_THREADS) elastic(const Stream* __restrict__ streams, const float* __restrict__ constants, int rule, int step) {
   const Stream& s = streams[blockIdx.y];
   for (u32 body = blockIdx.x; body < (u32)s.lattice_count; body += gridDim.x) elastic_motion(s, s.lattices[body], body);
 }

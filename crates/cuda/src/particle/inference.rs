@@ -23,9 +23,10 @@ use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint::{self, Description, Weights},
+    checkpoint::{Description, Weights},
     engine::{Ballistic, StreamStart, scales},
     kernels::nodes::MAX_LEVELS,
+    ops::rules::{DEVICE_CONSTANTS, Most, Network},
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
@@ -38,7 +39,6 @@ use crate::{
     error::Result,
     graphs::Graphs,
     kernels::particle::{
-        elastic::{ELASTIC_THREADS, ParticleElastic},
         layers::{
             ParticleDecode, ParticleEncode, ParticleGridLayer, ParticleStore, ParticleToNodes,
             THREADS as TILE_THREADS,
@@ -46,11 +46,6 @@ use crate::{
         nodes::{
             ParticleChunks, ParticleLoad, ParticleRank, ParticleScan, ParticleScatter,
             SCAN_THREADS, Stream,
-        },
-        rules::{
-            ParticleAreaFill, ParticleAreaMark, ParticleAreaShift, ParticleAreaSolve,
-            ParticleAreaSweep, ParticleBodiesFlight, ParticleBodiesJoin, ParticleBodiesNumber,
-            ParticleBodiesRest, ParticleBodiesSum, ParticleShapeLimit, ParticleShapeRelax, Rules,
         },
     },
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
@@ -64,10 +59,6 @@ const SCRATCH: usize = 4 << 30;
 const GRAPHS: usize = 64;
 /// Blocks of a stage, at most about so many for all streams; each goes on with further tiles.
 const BLOCKS: usize = 16384;
-
-/// Threads of a block that solves the area rule's pressure, and its shared memory at most (bytes).
-const SOLVE_THREADS: usize = 512;
-const SOLVE: usize = 100 << 10;
 
 /// Particles of an item of a copy between a frame and the memory of the device.
 const COPY: usize = 1 << 14;
@@ -84,14 +75,10 @@ struct Extent {
     particles: usize,
     /// Nodes of the largest stream by level, rounded up.
     nodes: [usize; MAX_LEVELS],
-    /// Cells and their parts, nodes of the area rule's grid, of the largest stream, rounded up.
-    cells: usize,
+    /// Parts of its map, rounded up.
     chunks: usize,
-    area: usize,
-    /// Bodies of jelly of the stream that has the most, rounded up.
-    bodies: usize,
-    /// Shared memory of a block that solves the area rule's pressure (bytes), where that is small for all streams.
-    solve: Option<usize>,
+    /// What the launches of the rules depend on, rounded up.
+    rules: Most,
 }
 
 /// A particle model that predicts streams on a device.
@@ -104,8 +91,8 @@ pub struct Inference {
     /// The domain in training.
     domain: Domain,
     weights: List<f32>,
-    /// The constants of the rules.
-    rules: List<Rules>,
+    /// The constants of each rule.
+    rules: List<[f32; DEVICE_CONSTANTS]>,
     /// The table of the streams of a step.
     host_rows: HostBuffer,
     rows: List<Stream>,
@@ -153,11 +140,11 @@ impl Inference {
             rules: description.rules,
             spacing: grid.map_or(1.0, |grid| grid.spacing),
         };
-        let ballistic = Ballistic::new(description);
+        let (ballistic, network) = (Ballistic::new(description), Network::of(description));
         Ok(Self {
             domain: description.domain,
             weights: List::of(&*device, &weights)?,
-            rules: List::of(&*device, &[scales.constants(&ballistic)])?,
+            rules: List::of(&*device, &description.rules.device_constants(&network))?,
             scales,
             ballistic,
             host_rows: device.allocate_host(MOST_STREAMS * size_of::<Stream>())?,
@@ -279,11 +266,14 @@ impl Inference {
             streams: sizes.len(),
             particles: most(&|size| size.particles),
             nodes: std::array::from_fn(|level| most(&|size| size.nodes(level))),
-            cells: most(&Size::cells),
             chunks: most(&Size::chunks),
-            area: most(&Size::area_nodes),
-            bodies: most(&|size| size.lattices.bodies),
-            solve: Some(12 * most(&Size::area_nodes) + 8).filter(|&bytes| bytes <= SOLVE),
+            rules: Most {
+                particles: most(&|size| size.particles),
+                nodes: most(&|size| size.nodes(0)),
+                cells: most(&Size::cells),
+                area_nodes: most(&Size::area_nodes),
+                lattices: most(&|size| size.lattices.bodies),
+            },
         };
         self.graphs.run(&*self.device, extent, || self.launch_all(extent))?;
         self.device.finish()
@@ -331,58 +321,29 @@ impl Inference {
         }
         let decode = by_tile(self.constants.decode_bytes());
         self.launch(decode, ParticleDecode { streams, w: weights(self.layout.context) })?;
-        self.launch_rules(extent, by_particle, &blocks)?;
+        self.launch_rules(extent, &blocks)?;
         self.launch(by_particle, ParticleStore { streams })
     }
 
     /// Puts the rules of a step into the queue.
-    fn launch_rules(
-        &self,
-        extent: Extent,
-        by_particle: Shape,
-        blocks: &dyn Fn(usize, usize) -> usize,
-    ) -> Result<()> {
-        let Extent { streams: number, nodes, cells, area, bodies, solve, .. } = extent;
-        let checkpoint::Rules { elastic, area: area_rule, shape, rest, .. } = self.scales.rules;
-        let (streams, constants) = (self.rows.pointer(), self.rules.pointer());
-        if elastic.is_some() {
-            let by_body = Shape::new(blocks(bodies, 1), number, ELASTIC_THREADS);
-            self.launch(by_body, ParticleElastic { streams })?;
-        }
-        if let Some(rule) = area_rule {
-            self.launch(by_particle, ParticleAreaFill { streams, constants })?;
-            if let Some(shared) = solve {
-                let shape = Shape { shared, ..Shape::new(number, 1, SOLVE_THREADS) };
-                let sweeps = count(rule.sweeps);
-                self.launch(shape, ParticleAreaSolve { streams, constants, sweeps })?;
-            } else {
-                let by_node = Shape::new(blocks(area, 256), number, 256);
-                self.launch(by_node, ParticleAreaMark { streams, constants })?;
-                let by_colour = Shape::new(blocks(area, 512), number, 256);
-                for half in 0..2 * rule.sweeps {
-                    let colour = count(half % 2);
-                    self.launch(by_colour, ParticleAreaSweep { streams, constants, colour })?;
-                }
-            }
-            self.launch(by_particle, ParticleAreaShift { streams, constants })?;
-        }
-        if let Some(rule) = shape {
-            self.launch(by_particle, ParticleShapeLimit { streams, constants })?;
-            for sweep in 0..rule.sweeps {
-                let (sweep, last) = (count(sweep), (sweep + 1 == rule.sweeps).into());
-                self.launch(by_particle, ParticleShapeRelax { streams, sweep, last })?;
-            }
-        }
-        if self.scales.finds_bodies() {
-            let by_node = Shape::new(blocks(nodes[0], 256), number, 256);
-            self.launch(by_node, ParticleBodiesJoin { streams })?;
-            self.launch(by_node, ParticleBodiesNumber { streams })?;
-            let by_cell = Shape::new(blocks(cells, 128), number, 128);
-            self.launch(by_cell, ParticleBodiesSum { streams })?;
-            self.launch(by_cell, ParticleBodiesFlight { streams, constants })?;
-        }
-        if rest.is_some() {
-            self.launch(by_particle, ParticleBodiesRest { streams, constants })?;
+    fn launch_rules(&self, extent: Extent, blocks: &dyn Fn(usize, usize) -> usize) -> Result<()> {
+        for (rule, launch) in self.scales.rules.launches(&extent.rules) {
+            let blocks =
+                Shape::new(blocks(launch.threads, launch.block), extent.streams, launch.block);
+            let (mut streams, mut constants) =
+                (self.rows.pointer(), self.rules.pointer().plus(rule));
+            let (mut rule, mut step): (i32, i32) = (count(rule), count(launch.step));
+            let mut arguments = [
+                std::ptr::from_mut(&mut streams).cast(),
+                std::ptr::from_mut(&mut constants).cast(),
+                std::ptr::from_mut(&mut rule).cast(),
+                std::ptr::from_mut(&mut step).cast(),
+            ];
+            // SAFETY: the parameters of every kernel of a rule; as in `launch`.
+            unsafe {
+                let shape = Shape { shared: launch.shared, ..blocks };
+                self.device.launch_named(Queue::Main, launch.kernel, shape, &mut arguments)
+            }?;
         }
         Ok(())
     }

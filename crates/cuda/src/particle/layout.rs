@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 use eddy_inference::{
     checkpoint::{
-        Activation, Core, Description, Form, Weights,
+        Activation, Core, Description, Form, Rules, Weights,
         grid::{GridLayer, MAX_LISTS, grid_layers, grid_lists},
         layout::{self, particle_features},
     },
@@ -185,7 +185,7 @@ impl Constants {
 
 impl Program for Constants {
     fn source(&self) -> String {
-        PARTICLE_SOURCE.concat()
+        [&PARTICLE_SOURCE.concat(), &*Rules::device_text(), include_str!("elastic.cu")].concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
@@ -211,7 +211,8 @@ impl Program for Constants {
             ("TILE", self.tile),
             ("NODES", self.nodes),
         ];
-        own.into_iter().chain(self.core.definitions()).collect()
+        let rules = Rules::definitions();
+        own.into_iter().chain(self.core.definitions()).chain(rules).collect()
     }
 }
 

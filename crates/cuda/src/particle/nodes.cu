@@ -26,7 +26,6 @@ struct __align__(16) Neighbour {
   float share;
   float offset[2];
 };
-struct BodySums;
 struct Lattice;
 
 // A stream in a step; n is its number of particles. Lists by cells and nodes have an entry for every cell of the domain's map
@@ -67,12 +66,10 @@ struct Stream {
   // Scratch memory of the rules; nowhere where a rule is off.
   float* excess;                 // [area nodes, 2] with 1 / neighbours
   float* pressure;               // [area nodes]
-  float* shapes[2];              // [n, 2] positions, before and after a sweep in turn
-  float* limited;                // [n, 4]
-  float* offsets;                // [n, 2]
+  float* scratch[RULES];         // of each rule, as many numbers a particle as it asks for
   u32* parents;                  // [nodes] a node of the same body, in the end the smallest
   u32* numbers;                  // [nodes] of the body with this smallest node
-  BodySums* sums;                // [bodies]
+  u64* body_sums;                // [bodies, BODY_NUMBERS / 2]
   // The lattices of bodies of jelly; none where the rule `elastic` is off.
   const Lattice* lattices;
   u64 lattice_count;

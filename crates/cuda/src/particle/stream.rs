@@ -7,9 +7,10 @@ use std::sync::{
 
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint,
+    checkpoint::Rules,
     engine::{Ballistic, StreamStart},
     kernels::nodes::map_extent,
+    ops::rules::{AREA_MARGIN, bodies},
 };
 
 use super::{
@@ -20,10 +21,7 @@ use crate::{
     device::{Device, List, Pointer, Queue, count},
     error::Result,
     kernels::{
-        particle::{
-            nodes::{CHUNK, Link, Neighbour, Stream},
-            rules::{MARGIN, Rules},
-        },
+        particle::nodes::{CHUNK, Link, Neighbour, Stream},
         round_up,
     },
     streams::{Body, StreamMemory},
@@ -44,7 +42,7 @@ pub(super) struct Scales {
     /// Smallest and largest velocities that are predicted (domain lengths per second).
     pub(super) speeds: [[f32; 2]; 2],
     /// The rules that are on.
-    pub(super) rules: checkpoint::Rules,
+    pub(super) rules: Rules,
     /// Distance between particles at rest (domain lengths).
     pub(super) spacing: f32,
 }
@@ -54,49 +52,10 @@ impl Scales {
     pub(super) fn area_width(&self) -> Option<f32> {
         self.rules.area.map(|rule| rule.cell_width * self.spacing)
     }
-
-    /// The constants of the rules.
-    pub(super) fn constants(&self, ballistic: &Ballistic) -> Rules {
-        let checkpoint::Rules { area, shape, flight, rest, .. } = self.rules;
-        let mut rules = Rules {
-            strain_limit: shape.map_or(0.0, |rule| rule.strain_limit),
-            flight_distance: flight.map_or(-1.0, |rule| rule.wall_distance * self.width),
-            gain: ballistic.gravity[0].hypot(ballistic.gravity[1]) * ballistic.dt,
-            ..bytemuck::Zeroable::zeroed()
-        };
-        if let Some(rule) = area {
-            rules = Rules {
-                area_width: rule.cell_width * self.spacing,
-                fill_limit: rule.fill_limit,
-                surface_fill: rule.surface_fill,
-                relaxation: rule.relaxation,
-                longest_shift: rule.longest_shift,
-                rate: rule.rate,
-                share: 1.0 / (rule.cell_width * rule.cell_width),
-                // A particle at a wall fills half a spacing beyond it.
-                beyond: 0.5 / rule.cell_width,
-                ..rules
-            };
-        }
-        if let Some(rule) = rest {
-            rules = Rules {
-                rest_distance: rule.wall_distance * self.width,
-                asleep_below: rule.asleep_below,
-                awake_from: rule.awake_from,
-                ..rules
-            };
-        }
-        rules
-    }
-
-    /// Whether bodies are to be found.
-    pub(super) fn finds_bodies(&self) -> bool {
-        self.rules.flight.is_some() || self.rules.rest.is_some()
-    }
 }
 
 /// Numbers of particles and of the map's cells of a stream: what its memory depends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Size {
     pub(super) particles: usize,
     /// Levels of the grid.
@@ -105,9 +64,8 @@ pub(super) struct Size {
     pub(super) extent: [usize; 2],
     /// Columns and rows of nodes of the area rule's grid; none where the rule is off.
     pub(super) area: [usize; 2],
-    /// Whether the rules for shapes and for bodies are on.
-    shapes: bool,
-    bodies: bool,
+    /// The rules that are on.
+    rules: Rules,
     /// None where the rule `elastic` is off.
     pub(super) lattices: LatticeSize,
 }
@@ -123,10 +81,9 @@ impl Size {
         let cells = cells_across(domain, scales.width);
         let extent = map_extent(cells, scales.levels);
         let area = scales.area_width().map_or([0; 2], |width| {
-            cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * MARGIN)
+            cells_across(domain, width).map(|cells| cells.ceil() as usize + 2 * AREA_MARGIN)
         });
-        let (shapes, bodies) = (scales.rules.shape.is_some(), scales.finds_bodies());
-        Self { particles, levels: scales.levels, extent, area, shapes, bodies, lattices }
+        Self { particles, levels: scales.levels, extent, area, rules: scales.rules, lattices }
     }
 
     /// Parts of the map of level 0 that the running sums are made of.
@@ -204,17 +161,17 @@ impl Size {
         row.next = places.next(n);
         row.excess = places.next(2 * self.area_nodes());
         row.pressure = places.next(self.area_nodes());
-        if self.shapes {
-            row.shapes = [places.next(2 * n), places.next(2 * n)];
-            row.limited = places.next(4 * n);
-            row.offsets = places.next(2 * n);
+        for (list, numbers) in row.scratch.iter_mut().zip(self.rules.device_numbers()) {
+            if numbers > 0 {
+                *list = places.next(numbers * n);
+            }
         }
-        if self.bodies {
+        if self.rules.need_bodies() {
             let nodes = self.nodes(0);
             row.parents = places.next(nodes);
             row.numbers = places.next(nodes);
             // Each has at least the nodes of one stencil.
-            row.sums = places.next(nodes.div_ceil(9));
+            row.body_sums = places.next(nodes.div_ceil(9) * bodies::DEVICE_NUMBERS / 2);
         }
         let LatticeSize { nodes, forces, .. } = self.lattices;
         if nodes > 0 {
@@ -322,7 +279,7 @@ impl Memory {
         let area_width = scales.area_width().unwrap_or(1.0);
         let area_walls = [0, 1].map(|axis| {
             [lower, upper]
-                .map(|wall| (wall[axis] - domain.lower[axis]) / area_width + MARGIN as f32)
+                .map(|wall| (wall[axis] - domain.lower[axis]) / area_width + AREA_MARGIN as f32)
         });
         let area_inside = [0, 1].map(|axis| {
             let [low, high] = area_walls[axis];

@@ -275,8 +275,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
         let (name, found) = ("surroundings.channels", format!("{channels:?}"));
         require(valid, name, &found, GridOptions::CHANNELS)?;
     }
-    let spacing = grid.as_ref().map_or(0.0, |grid| grid.spacing);
-    rules::check(file, &description.rules, (spacing, *dt), description.stiffness)?;
+    rules::check(file, description)?;
     require(domain.is_valid(), "domain", &domain.to_string(), "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)
 }

@@ -3,7 +3,7 @@
 //! A checkpoint is a directory with two files, and a third one if it was calibrated:
 //!
 //! 1. `model.toml`, the [`Description`]: network (`network`), training data, normalisation (`description`), the rules
-//!    that correct its predictions (`rules`), and the elasticity of jelly (`elastic`).
+//!    that correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]` (`[stiffnesses, out,
 //!    in]` if there are some for several stiffnesses), with the names
 //!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
@@ -13,7 +13,6 @@
 //! files so that a crash between any two system calls leaves a complete checkpoint, the old one or the new one.
 
 mod description;
-mod elastic;
 mod error;
 mod files;
 mod fingerprints;
@@ -26,7 +25,6 @@ mod rules;
 
 pub(crate) use description::field;
 pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
-pub use elastic::{ElasticRule, JELLY_MODULUS};
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};
@@ -40,9 +38,13 @@ pub use network::{
     Activation, Architecture, FeatureScaling, FrameOptions, FrameOutput, GridOptions,
     MaterialInput, Pooling, Sizes, WeightFormat,
 };
-pub use rules::{AreaRule, FlightRule, RestRule, Rule, Rules, ShapeRule};
 
-pub use crate::ops::cell::{Core, Form};
+pub use crate::ops::{
+    cell::{Core, Form},
+    rules::{
+        AreaRule, ElasticRule, FlightRule, RestRule, Rule, Rules, ShapeRule, elastic::JELLY_MODULUS,
+    },
+};
 
 use std::{collections::BTreeMap, path::Path};
 

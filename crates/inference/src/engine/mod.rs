@@ -11,8 +11,7 @@
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
 //!    `merged` combines layers that have no activation between them.
-//! 7. `rules`: corrections of a prediction, with the constants of the checkpoint. [`Corrector`] applies them after any
-//!    predictor.
+//! 7. The rules ([`ops::rules`](crate::ops::rules)) correct a prediction; [`Corrector`] applies them after any predictor.
 //! 8. [`fits()`]: which frames a network can predict. [`Warning`]: what a stream states compared with what a network was trained on.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
 //!    or the [`Accelerator`].
@@ -25,7 +24,6 @@
 //! of the grid's levels.
 
 mod accelerator;
-mod ballistic;
 mod baseline;
 mod core;
 mod decoded;
@@ -42,7 +40,6 @@ mod particle_blocks;
 mod particle_features;
 mod particle_model;
 mod products;
-mod rules;
 pub mod scales;
 mod scatter;
 mod stepper;
@@ -52,14 +49,16 @@ mod warning;
 #[cfg(test)]
 mod tests;
 
+pub use crate::ops::{
+    ballistic::Ballistic,
+    rules::{Corrector, elastic::lattices},
+};
 pub use accelerator::{Accelerator, DeviceState, DeviceStep, Precision, StreamStart};
-pub use ballistic::Ballistic;
 pub use baseline::Baseline;
 pub use decoded::Decoded;
 pub use error::ModelError;
 pub use fits::fits;
 pub use hidden_state::HiddenState;
-pub use rules::{Corrector, lattices};
 pub use stepper::{StepRequest, Stepper};
 pub use surrogate::Surrogate;
 pub use warning::{Stated, StreamSetup, Warning, warnings};

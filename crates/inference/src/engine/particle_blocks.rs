@@ -5,14 +5,13 @@ use pulp::Simd;
 
 use super::{
     Ballistic,
-    ballistic::clamped,
     core::CoreLayer,
     linear::store,
     particle_features::{Motion, ballistic_motion},
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
     products::{Columns, Output, Rows, Sum, apply},
 };
-use crate::{checkpoint::grid::READ, kernels::transfer::gather};
+use crate::{checkpoint::grid::READ, kernels::transfer::gather, ops::ballistic::clamped};
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;

@@ -31,7 +31,7 @@ const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
 const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
 /// Position and velocity of a particle.
-pub(super) type Motion = ([f32; 2], [f32; 2]);
+pub(super) use crate::ops::ballistic::Motion;
 
 /// Scale of the features, and the ballistic step they refer to.
 #[derive(Debug)]

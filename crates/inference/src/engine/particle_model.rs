@@ -18,16 +18,16 @@ use super::{
     merged::merged,
     order::reorder,
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
-    rules::{self, Correction, Observed, Predicted, RuleSet},
     scales::velocity_limits,
     scatter::Segments,
 };
 use crate::{
-    checkpoint::{Description, Weights},
+    checkpoint::{Description, Rules, Weights},
     kernels::{
         nodes::{Nodes, Window},
         vectors::Lanes,
     },
+    ops::rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -53,7 +53,9 @@ pub(super) struct ParticleModel {
     /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
     pub(super) slowest: [f32; 2],
     pub(super) fastest: [f32; 2],
-    rules: RuleSet,
+    rules: Rules,
+    /// Distance between particles at rest (domain lengths).
+    spacing: f32,
     /// The stages of a frame, in order.
     pub(super) stages: Vec<Stage>,
 }
@@ -99,8 +101,9 @@ impl ParticleModel {
         let tensors = &merged(grid, tensors);
         let linear = |layer| SplitLinear::named(lanes, tensors, layer);
         let (slowest, fastest) = velocity_limits(&description.normalization);
+        let spacing = grid.spacing;
         let grid = Grid::pack(lanes, grid, tensors);
-        let rules = RuleSet::new(description);
+        let rules = description.rules;
         Self {
             arch,
             features: Features::new(description),
@@ -117,6 +120,7 @@ impl ParticleModel {
             stages: stages(&grid, &rules),
             grid,
             rules,
+            spacing,
         }
     }
 
@@ -150,7 +154,7 @@ impl ParticleModel {
             segments: Segments::default(),
             segment_sums: Vec::new(),
             ballistic_motion: Vec::new(),
-            rules: self.rules.scratch(),
+            rules: rules::Scratch::default(),
             buffers: (0..threads).map(|_| buffers()).collect(),
         }
     }
@@ -194,8 +198,10 @@ impl ParticleModel {
             nodes,
             ballistic,
             domain: frame.domain,
+            spacing: self.spacing,
             rest,
             lattices,
+            expected: ExpectedNodes::new(&mut memory.expected_nodes),
             order,
         };
         let predicted = Predicted {
@@ -228,7 +234,7 @@ impl ParticleModel {
             cell: DisjointSlice::new(&mut memory.cell),
             expected_velocity: DisjointSlice::new(&mut memory.expected_velocity),
             predicted,
-            correction: self.rules.begin(rules, observed, &mut memory.expected_nodes, predicted),
+            correction: self.rules.begin(rules, observed, predicted),
         };
         let stages = self.stages.iter().map(|&stage| context.items(stage));
         pool.run(stages, alone, &|task| self.arch.dispatch(Item { context: &context, task }));
@@ -264,7 +270,7 @@ pub(super) enum Stage {
 }
 
 /// The stages of a frame, in order: those of the network, then those of the rules.
-fn stages(grid: &Grid, rules: &RuleSet) -> Vec<Stage> {
+fn stages(grid: &Grid, rules: &Rules) -> Vec<Stage> {
     let layers = (0..grid.len()).map(Stage::Layer);
     let network = [Stage::Encode, Stage::Write].into_iter().chain(layers).chain([Stage::Decode]);
     network.chain(rules.stages().into_iter().map(Stage::Rule)).collect()

@@ -1,10 +1,8 @@
 //! `[rules.elastic]` of `model.toml`: the constants of the rule that jelly moves by its elasticity ([`lattice`](crate::kernels::lattice)).
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 
-use super::{CheckpointError, description::field};
+use super::{Network, WrongConstant};
 use crate::kernels::lattice;
 use eddy_frames::decimal;
 
@@ -102,6 +100,37 @@ impl ElasticRule {
         self.steps as f32 >= self.crossings(spacing, dt)
     }
 
+    /// Checks the constants; those of a network that is conditioned on the stiffness fit every stream.
+    pub(super) fn check_constants(&self, network: &Network) -> Result<(), WrongConstant> {
+        let Self { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *self;
+        let Self { viscosity, wall_stiffness, rebound, .. } = *self;
+        let Self { clear_distance, most_stretch, most_error, small_error, .. } = *self;
+        let most_error = most_error.unwrap_or_default();
+        let positive = |error: f32| error >= 0.0 && error.is_finite();
+        // NaN is in none of these ranges.
+        let number = WrongConstant::unless::<f32>;
+        number(modulus > 0.0 && modulus.is_finite(), "modulus", modulus, "a positive number")?;
+        let expected = "at least 0, below 0.5";
+        number((0.0..0.5).contains(&poisson_ratio), "poisson_ratio", poisson_ratio, expected)?;
+        number((2.0..=1024.0).contains(&cell_width), "cell_width", cell_width, "2 to 1024")?;
+        number((0.0..=0.5).contains(&viscosity), "viscosity", viscosity, "0 to 0.5")?;
+        number((0.0..=16.0).contains(&wall_distance), "wall_distance", wall_distance, "0 to 16")?;
+        let fits = (0.0..=4.0).contains(&wall_stiffness);
+        number(fits, "wall_stiffness", wall_stiffness, "0 to 4")?;
+        number((0.0..=1.0).contains(&rebound), "rebound", rebound, "0 to 1")?;
+        let fits = (0.0..=64.0).contains(&clear_distance);
+        number(fits, "clear_distance", clear_distance, "0 to 64")?;
+        number((1.0..=4.0).contains(&most_stretch), "most_stretch", most_stretch, "1 to 4")?;
+        number(positive(most_error), "most_error", most_error, "a number of at least 0")?;
+        number(positive(small_error), "small_error", small_error, "a number of at least 0")?;
+        let fits = (1..=Self::MOST_STEPS).contains(&steps);
+        WrongConstant::unless(fits, "steps", steps, "1 to 256")?;
+        let fits = network.is_conditioned || self.is_stable(network.spacing, network.dt);
+        let expected =
+            "at least one step in the time that a pressure wave takes to cross an element";
+        WrongConstant::unless(fits, "steps", steps, expected)
+    }
+
     /// Shear modulus and first Lame parameter (density x velocity^2).
     pub(crate) fn lame(&self) -> [f32; 2] {
         let Self { modulus, poisson_ratio: nu, .. } = *self;
@@ -127,51 +156,4 @@ impl Default for ElasticRule {
             small_error: 0.035,
         }
     }
-}
-
-/// Checks the constants; those of a network that is conditioned on the stiffness fit every stream.
-pub(super) fn check(
-    file: &Path,
-    options: &ElasticRule,
-    (spacing, dt): (f32, f32),
-    is_conditioned: bool,
-) -> Result<(), CheckpointError> {
-    let ElasticRule { modulus, poisson_ratio, cell_width, steps, wall_distance, .. } = *options;
-    let ElasticRule { viscosity, wall_stiffness, rebound, .. } = *options;
-    let ElasticRule { clear_distance, most_stretch, most_error, small_error, .. } = *options;
-    let most_error = most_error.unwrap_or_default();
-    let positive = |error: f32| error >= 0.0 && error.is_finite();
-    // NaN is in none of these ranges.
-    let checks = [
-        ("modulus", modulus, modulus > 0.0 && modulus.is_finite(), "a positive number"),
-        (
-            "poisson_ratio",
-            poisson_ratio,
-            (0.0..0.5).contains(&poisson_ratio),
-            "at least 0, below 0.5",
-        ),
-        ("cell_width", cell_width, (2.0..=1024.0).contains(&cell_width), "2 to 1024"),
-        ("viscosity", viscosity, (0.0..=0.5).contains(&viscosity), "0 to 0.5"),
-        ("wall_distance", wall_distance, (0.0..=16.0).contains(&wall_distance), "0 to 16"),
-        ("wall_stiffness", wall_stiffness, (0.0..=4.0).contains(&wall_stiffness), "0 to 4"),
-        ("rebound", rebound, (0.0..=1.0).contains(&rebound), "0 to 1"),
-        ("clear_distance", clear_distance, (0.0..=64.0).contains(&clear_distance), "0 to 64"),
-        ("most_stretch", most_stretch, (1.0..=4.0).contains(&most_stretch), "1 to 4"),
-        ("most_error", most_error, positive(most_error), "a number of at least 0"),
-        ("small_error", small_error, positive(small_error), "a number of at least 0"),
-    ];
-    for (key, found, fits, expected) in checks {
-        if !fits {
-            return Err(field(file, format!("rules.elastic.{key}"), found.to_string(), expected));
-        }
-    }
-    if !(1..=ElasticRule::MOST_STEPS).contains(&steps) {
-        return Err(field(file, "rules.elastic.steps", steps.to_string(), "1 to 256"));
-    }
-    if !is_conditioned && !options.is_stable(spacing, dt) {
-        let expected =
-            "at least one step in the time that a pressure wave takes to cross an element";
-        return Err(field(file, "rules.elastic.steps", steps.to_string(), expected));
-    }
-    Ok(())
 }

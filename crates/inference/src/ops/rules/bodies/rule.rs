@@ -4,46 +4,29 @@
 use std::{fmt::Debug, ops::Range};
 
 use super::{
-    super::{Ballistic, particle_features::Motion},
-    Observed, Predicted,
-    bodies::Bodies,
+    super::{Ballistic, InFrame, Motion, Observed, Predicted, RuleOperation},
+    Bodies,
 };
-use crate::kernels::nodes::Nodes;
 use eddy_threads::DisjointSlice;
 
 /// Cells per item.
 const CELLS: usize = 64;
 
-/// A step of the rule.
-#[derive(Clone, Copy, Debug)]
-pub(in super::super) enum Step {
-    /// Sums over cells; an item is a block of cells.
-    Sum,
-    /// The bodies' corrections; one item.
-    Join,
-    /// Corrects particles; an item is a block of cells.
-    Correct,
-}
-
-/// The steps, in order.
-pub(super) const STEPS: [Step; 3] = [Step::Sum, Step::Join, Step::Correct];
-
-impl Step {
-    /// Number of items.
-    pub(super) fn items(self, nodes: &Nodes) -> usize {
-        match self {
-            Self::Sum | Self::Correct => nodes.cells().len().div_ceil(CELLS),
-            Self::Join => 1,
-        }
-    }
-}
+/// Sums over cells; an item is a block of cells.
+const SUM: usize = 0;
+/// The bodies' corrections; one item.
+const JOIN: usize = 1;
+/// Corrects particles; an item is a block of cells.
+const CORRECT: usize = 2;
+/// Number of steps.
+pub(crate) const STEPS: usize = 3;
 
 /// The motion of a body's particle.
-pub(super) struct Particle {
-    pub(super) observed: Motion,
+pub(crate) struct Particle {
+    pub(crate) observed: Motion,
     /// After one frame of free fall.
-    pub(super) free: Motion,
-    pub(super) predicted: Motion,
+    pub(crate) free: Motion,
+    pub(crate) predicted: Motion,
 }
 
 impl Particle {
@@ -62,7 +45,7 @@ impl Particle {
 }
 
 /// A rule for bodies.
-pub(super) trait BodyRule: Copy + Debug {
+pub(crate) trait BodyRule: RuleOperation {
     /// Sums over the particles of a cell.
     type CellSums: Copy + Debug + Default + Send + Sync;
     /// Sums over the cells of a body.
@@ -85,7 +68,7 @@ pub(super) trait BodyRule: Copy + Debug {
 
 /// Scratch buffers of a rule.
 #[derive(Debug)]
-pub(super) struct Scratch<R: BodyRule> {
+pub(crate) struct Scratch<R: BodyRule> {
     bodies: Vec<Body<R>>,
     cells: Vec<R::CellSums>,
 }
@@ -98,14 +81,12 @@ impl<R: BodyRule> Default for Scratch<R> {
 
 #[derive(Clone, Copy, Debug)]
 struct Body<R: BodyRule> {
-    /// Whether the rule applies to it.
-    applies: bool,
     sums: R::BodySums,
     correction: Option<R::Correction>,
 }
 
 /// A rule in one frame.
-pub(super) struct BodyCorrection<'a, R: BodyRule> {
+pub(crate) struct BodyCorrection<'a, R: BodyRule> {
     rule: R,
     bodies: DisjointSlice<'a, Vec<Body<R>>>,
     cells: DisjointSlice<'a, R::CellSums>,
@@ -113,19 +94,14 @@ pub(super) struct BodyCorrection<'a, R: BodyRule> {
 
 impl<'a, R: BodyRule> BodyCorrection<'a, R> {
     /// Reserves as much as the grid can grow without allocating.
-    pub(super) fn new(
-        rule: R,
-        scratch: &'a mut Scratch<R>,
-        nodes: &Nodes,
-        particles: usize,
-    ) -> Self {
+    pub(crate) fn new(rule: R, scratch: &'a mut Scratch<R>, observed: &Observed<'_>) -> Self {
         let Scratch { bodies, cells } = scratch;
         bodies.clear();
-        bodies.reserve(Bodies::capacity(nodes));
+        bodies.reserve(Bodies::capacity(observed.nodes));
         cells.clear();
         // At most one cell per particle.
-        cells.reserve(particles);
-        cells.resize(nodes.cells().len(), R::CellSums::default());
+        cells.reserve(observed.order.len());
+        cells.resize(observed.nodes.cells().len(), R::CellSums::default());
         Self {
             rule,
             bodies: DisjointSlice::new(std::slice::from_mut(bodies)),
@@ -133,39 +109,38 @@ impl<'a, R: BodyRule> BodyCorrection<'a, R> {
         }
     }
 
-    /// Selects the bodies that the rule applies to; `width` is the width of a cell (domain lengths). One item calls this
-    /// before the first step.
-    pub(super) fn select(&self, found: &Bodies, walls: &Ballistic, width: f32) {
-        let body = |clear| Body {
-            applies: clear == R::CLEAR_OF_WALLS,
-            sums: R::BodySums::default(),
-            correction: None,
-        };
-        let clear = found.clear_of(walls, self.rule.wall_distance() * width);
-        // SAFETY: no other item is running.
-        let bodies = unsafe { &mut self.bodies.part(0..1)[0] };
-        bodies.clear();
-        bodies.extend(clear.map(body));
+    /// Whether the rule applies to a body.
+    fn applies(&self, body: usize, found: &Bodies, observed: &Observed<'_>) -> bool {
+        let distance = self.rule.wall_distance() * observed.nodes.width();
+        found.is_clear_of(body, &observed.ballistic, distance) == R::CLEAR_OF_WALLS
+    }
+}
+
+impl<R: BodyRule> InFrame for BodyCorrection<'_, R> {
+    fn items(&self, step: usize, observed: &Observed<'_>) -> usize {
+        if step == JOIN { 1 } else { observed.nodes.cells().len().div_ceil(CELLS) }
     }
 
-    /// Runs an item of a step.
     #[inline(always)]
-    pub(super) fn run(
+    fn run(
         &self,
-        step: Step,
+        step: usize,
         item: usize,
-        found: &Bodies,
         observed: &Observed<'_>,
+        found: &Bodies,
         predicted: &Predicted<'_>,
     ) {
         let own = item * CELLS..((item + 1) * CELLS).min(observed.nodes.cells().len());
         match step {
-            Step::Sum => self.sum(own, found, observed, predicted),
-            Step::Join => self.join(found, observed),
-            Step::Correct => self.correct(own, found, observed, predicted),
+            SUM => self.sum(own, found, observed, predicted),
+            JOIN => self.join(found, observed),
+            CORRECT => self.correct(own, found, observed, predicted),
+            _ => unreachable!("there are {STEPS} steps"),
         }
     }
+}
 
+impl<R: BodyRule> BodyCorrection<'_, R> {
     #[inline(always)]
     fn sum(
         &self,
@@ -174,11 +149,11 @@ impl<'a, R: BodyRule> BodyCorrection<'a, R> {
         observed: &Observed<'_>,
         predicted: &Predicted<'_>,
     ) {
-        // SAFETY: this step only reads the bodies, and only this item uses these cells.
-        let (bodies, sums) = unsafe { (&self.bodies.read(0..1)[0], self.cells.part(own.clone())) };
+        // SAFETY: only this item uses these cells.
+        let sums = unsafe { self.cells.part(own.clone()) };
         for (cell, sums) in observed.nodes.cells()[own].iter().zip(sums) {
             *sums = R::CellSums::default();
-            if !bodies[found.of(cell)].applies {
+            if !self.applies(found.of(cell), found, observed) {
                 continue;
             }
             for &row in &observed.nodes.order()[cell.slots()] {
@@ -194,11 +169,14 @@ impl<'a, R: BodyRule> BodyCorrection<'a, R> {
         // SAFETY: this step has one item.
         let (bodies, sums) =
             unsafe { (&mut self.bodies.part(0..1)[0], self.cells.read(0..cells.len())) };
+        bodies.resize(found.len(), Body { sums: R::BodySums::default(), correction: None });
         for (cell, sums) in cells.iter().zip(sums) {
             R::add_cell(&mut bodies[found.of(cell)].sums, sums);
         }
-        for body in bodies.iter_mut().filter(|body| body.applies) {
-            body.correction = self.rule.correction(&body.sums, &observed.ballistic);
+        for (number, body) in bodies.iter_mut().enumerate() {
+            if self.applies(number, found, observed) {
+                body.correction = self.rule.correction(&body.sums, &observed.ballistic);
+            }
         }
     }
 

@@ -5,18 +5,28 @@
 //! A body is in free flight if it keeps a distance from walls, now and where its mean velocity takes it
 //! ([`FlightRule::wall_distance`]).
 
+use serde::{Deserialize, Serialize};
+
 use super::{
-    super::{Ballistic, particle_features::Motion},
-    body_rule::{BodyRule, Particle},
+    Ballistic, Launch, Most, Motion, Network, Observed, RuleOperation, WrongConstant,
+    bodies::rule::{self, BodyCorrection, BodyRule, Particle},
 };
-use crate::checkpoint::FlightRule;
+
+/// Constants of the rule that a body in free flight keeps its momentum and angular momentum.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlightRule {
+    /// Distance from walls that a body in free flight keeps, now and where its mean velocity takes it (cells of the network's
+    /// finest level).
+    pub wall_distance: f32,
+}
 
 /// Mean squared distance from the centre below which a body has no orientation (squared domain lengths).
 const POINT: f64 = 1e-10;
 
 /// Sums over particles: x and v after free fall, X and V as predicted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Sums {
+pub(crate) struct Sums {
     count: f64,
     /// x, v, X, V.
     first: [[f64; 2]; 4],
@@ -30,7 +40,7 @@ pub(super) struct Sums {
 
 /// The rigid motion by which a body's prediction differs from free fall.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct RigidError {
+pub(crate) struct RigidError {
     /// Means of x and of X.
     centres: [[f64; 2]; 2],
     /// Excess velocity.
@@ -39,6 +49,40 @@ pub(super) struct RigidError {
     angle: f64,
     /// Excess angular velocity (radians per second).
     spin: f64,
+}
+
+impl RuleOperation for FlightRule {
+    const STANDARD: Option<Self> = Some(Self { wall_distance: 1.5 });
+    const NEEDS_BODIES: bool = true;
+    const DEVICE: &'static str = include_str!("device.cu");
+
+    type Scratch = rule::Scratch<Self>;
+    type InFrame<'a> = BodyCorrection<'a, Self>;
+
+    fn check(&self, _: &Network) -> Result<(), WrongConstant> {
+        WrongConstant::unless_distance(self.wall_distance)
+    }
+
+    fn steps(&self) -> usize {
+        rule::STEPS
+    }
+
+    fn begin<'a>(
+        &self,
+        scratch: &'a mut rule::Scratch<Self>,
+        observed: &Observed<'a>,
+    ) -> BodyCorrection<'a, Self> {
+        BodyCorrection::new(*self, scratch, observed)
+    }
+
+    /// `FlightConstants` of the kernels.
+    fn device_constants(&self, network: &Network) -> Vec<f32> {
+        vec![self.wall_distance * network.cell_width]
+    }
+
+    fn launches(&self, most: &Most) -> Vec<Launch> {
+        vec![Launch { block: 128, ..Launch::new("flight", most.cells) }]
+    }
 }
 
 impl BodyRule for FlightRule {

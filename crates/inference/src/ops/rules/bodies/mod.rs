@@ -1,14 +1,31 @@
-//! Bodies: groups of particles whose nodes on the grid are connected.
+//! Bodies: groups of particles whose nodes on the grid are connected. They are found before the first rule that needs them;
+//! [`rule`] has the steps that such rules share.
 
-use super::super::Ballistic;
+pub(super) mod rule;
+
+use super::{Ballistic, Launch, Most};
 use crate::kernels::nodes::{Cell, Nodes};
+
+/// The kernels that find the bodies and sum up their particles.
+pub(super) const DEVICE: &str = include_str!("device.cu");
+/// Numbers of 4 bytes that the kernels keep of a body.
+pub const DEVICE_NUMBERS: usize = 76;
+
+/// The launches that find the bodies of a frame.
+pub(super) fn launches(most: &Most) -> Vec<Launch> {
+    vec![
+        Launch::new("bodies_join", most.nodes),
+        Launch::new("bodies_number", most.nodes),
+        Launch { block: 128, ..Launch::new("bodies_sum", most.cells) },
+    ]
+}
 
 /// A node without a body yet.
 const NONE: u32 = u32::MAX;
 
 /// The bodies of a frame.
 #[derive(Debug, Default)]
-pub(super) struct Bodies {
+pub(crate) struct Bodies {
     /// The body of each node of the finest level.
     body: Vec<u32>,
     extents: Vec<Extent>,
@@ -123,9 +140,13 @@ impl Bodies {
         self.body[cell.nodes[0] as usize] as usize
     }
 
-    /// Whether each body keeps `distance` from walls (domain lengths), now and after one frame of free fall at its mean
-    /// velocity.
-    pub(super) fn clear_of(&self, walls: &Ballistic, distance: f32) -> impl Iterator<Item = bool> {
-        self.extents.iter().map(move |extent| extent.is_clear_of(walls, distance))
+    /// Number of bodies.
+    pub(super) fn len(&self) -> usize {
+        self.extents.len()
+    }
+
+    /// Whether a body keeps `distance` from walls (domain lengths), now and after one frame of free fall at its mean velocity.
+    pub(super) fn is_clear_of(&self, body: usize, walls: &Ballistic, distance: f32) -> bool {
+        self.extents[body].is_clear_of(walls, distance)
     }
 }

@@ -11,14 +11,28 @@
 //! 4. Relax, [`ShapeRule::sweeps`] times: each particle moves to its neighbours' mean plus that offset.
 //! 5. Scatter: writes the positions back and changes the velocities accordingly.
 
-use eddy_threads::DisjointSlice;
 use std::ops::Range;
 
-use super::super::Ballistic;
-use crate::{
-    checkpoint::ShapeRule,
-    kernels::rest_shape::{RestShape, deformation},
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Ballistic, InFrame, Launch, Most, Network, Observed, Predicted, RuleOperation, WrongConstant,
+    bodies::Bodies,
 };
+use crate::kernels::rest_shape::{RestShape, deformation};
+use eddy_threads::DisjointSlice;
+
+/// Constants of the rule that jelly and rope keep their shape: each particle moves to the position that its neighbours and
+/// the rest shape imply.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ShapeRule {
+    /// Largest strain: stretches of the deformation gradient are limited to 1 - `strain_limit`..1 + `strain_limit`; at least 0,
+    /// below 1.
+    pub strain_limit: f32,
+    /// Number of relaxation sweeps, 1 to 1000.
+    pub sweeps: usize,
+}
 
 /// Rows per item.
 const ROWS: usize = 256;
@@ -26,26 +40,53 @@ const ROWS: usize = 256;
 /// A deformation gradient, row-major.
 type Gradient = [[f32; 2]; 2];
 
-/// A step of the rule; an item is a block of rows of the hidden state.
-#[derive(Clone, Copy, Debug)]
-pub(in super::super) enum Step {
-    Gather,
-    Limit,
-    Offset,
-    /// With the number of the sweep.
-    Relax(usize),
-    Scatter,
-}
+/// The steps before and after the sweeps; an item is a block of rows of the hidden state.
+const GATHER: usize = 0;
+const LIMIT: usize = 1;
+const OFFSET: usize = 2;
+/// The first sweep.
+const RELAX: usize = 3;
 
-/// The steps, in order.
-pub(super) fn steps(rule: ShapeRule) -> impl Iterator<Item = Step> {
-    let sweeps = (0..rule.sweeps).map(Step::Relax);
-    [Step::Gather, Step::Limit, Step::Offset].into_iter().chain(sweeps).chain([Step::Scatter])
+impl RuleOperation for ShapeRule {
+    const STANDARD: Option<Self> = Some(Self { strain_limit: 0.03, sweeps: 5 });
+    const DEVICE: &'static str = include_str!("device.cu");
+    /// A limited deformation gradient, positions before and after a sweep, an offset.
+    const DEVICE_NUMBERS: usize = 4 + 2 * 2 + 2;
+
+    type Scratch = Scratch;
+    type InFrame<'a> = Shape<'a>;
+
+    fn check(&self, _: &Network) -> Result<(), WrongConstant> {
+        let strain = self.strain_limit;
+        let expected = "at least 0 and below 1";
+        WrongConstant::unless((0.0..1.0).contains(&strain), "strain_limit", strain, expected)?;
+        WrongConstant::unless_sweeps(self.sweeps)
+    }
+
+    fn steps(&self) -> usize {
+        RELAX + self.sweeps + 1
+    }
+
+    fn begin<'a>(&self, scratch: &'a mut Scratch, observed: &Observed<'a>) -> Shape<'a> {
+        scratch.shape(*self, observed.rest, observed.order)
+    }
+
+    /// `ShapeConstants` of the kernels.
+    fn device_constants(&self, _: &Network) -> Vec<f32> {
+        vec![self.strain_limit, self.sweeps as f32]
+    }
+
+    fn launches(&self, most: &Most) -> Vec<Launch> {
+        let limit = Launch::new("shape_limit", most.particles);
+        let relax = Launch::new("shape_relax", most.particles);
+        let sweeps = (0..self.sweeps).map(|step| Launch { step, ..relax });
+        [limit].into_iter().chain(sweeps).collect()
+    }
 }
 
 /// Scratch buffers between steps, by rows of the hidden state.
 #[derive(Debug, Default)]
-pub(super) struct Scratch {
+pub(crate) struct Scratch {
     /// Positions before and after a sweep, alternating.
     place: [Vec<[f32; 2]>; 2],
     limited: Vec<Gradient>,
@@ -53,7 +94,7 @@ pub(super) struct Scratch {
 }
 
 /// The rule in one frame.
-pub(super) struct Shape<'a> {
+pub(crate) struct Shape<'a> {
     rule: ShapeRule,
     rest: &'a RestShape,
     /// The frame's particle in each row.
@@ -65,7 +106,7 @@ pub(super) struct Shape<'a> {
 
 impl Scratch {
     /// The rule for particles with the rest shape `rest`, where `order` has the particle of each row.
-    pub(super) fn shape<'a>(
+    fn shape<'a>(
         &'a mut self,
         rule: ShapeRule,
         rest: &'a RestShape,
@@ -88,29 +129,47 @@ impl Scratch {
     }
 }
 
+impl InFrame for Shape<'_> {
+    /// None if no particle has a rest shape.
+    fn items(&self, _: usize, _: &Observed<'_>) -> usize {
+        self.blocks()
+    }
+
+    #[inline(always)]
+    fn run(
+        &self,
+        step: usize,
+        item: usize,
+        observed: &Observed<'_>,
+        _: &Bodies,
+        predicted: &Predicted<'_>,
+    ) {
+        let Predicted { position, velocity, .. } = predicted;
+        self.step(step, item, (position, velocity), &observed.ballistic);
+    }
+}
+
 impl Shape<'_> {
-    /// Number of items of each step; none if no particle has a rest shape.
-    pub(super) fn items(&self) -> usize {
+    fn blocks(&self) -> usize {
         if self.rest.is_shapeless() { 0 } else { self.order.len().div_ceil(ROWS) }
     }
 
-    /// Runs an item of a step; `position` and `velocity` are those of the predicted frame.
+    /// Runs an item of a step on the predicted positions and velocities.
     #[inline(always)]
-    pub(super) fn run(
+    fn step(
         &self,
-        step: Step,
+        step: usize,
         item: usize,
-        position: &DisjointSlice<'_, [f32; 2]>,
-        velocity: &DisjointSlice<'_, [f32; 2]>,
+        (position, velocity): (&DisjointSlice<'_, [f32; 2]>, &DisjointSlice<'_, [f32; 2]>),
         walls: &Ballistic,
     ) {
         let rows = item * ROWS..((item + 1) * ROWS).min(self.order.len());
         match step {
-            Step::Gather => self.gather(rows, position),
-            Step::Limit => self.limit(rows),
-            Step::Offset => self.offset(rows),
-            Step::Relax(sweep) => self.relax(sweep, rows, walls),
-            Step::Scatter => self.scatter(rows, position, velocity, walls),
+            GATHER => self.gather(rows, position),
+            LIMIT => self.limit(rows),
+            OFFSET => self.offset(rows),
+            step if step < RELAX + self.rule.sweeps => self.relax(step - RELAX, rows, walls),
+            _ => self.scatter(rows, position, velocity, walls),
         }
     }
 
@@ -236,8 +295,8 @@ mod tests {
     use rand::{RngExt as _, SeedableRng as _};
     use rand_chacha::ChaCha8Rng;
 
+    use super::super::Rules;
     use super::*;
-    use crate::checkpoint::Rules;
     use eddy_frames::Material;
 
     const SPACING: f32 = 1.0 / 128.0;
@@ -268,8 +327,9 @@ mod tests {
             let mut scratch = Scratch::default();
             let shape = scratch.shape(RULE, &rest, &order);
             let (x, v) = (DisjointSlice::new(&mut position), DisjointSlice::new(&mut velocity));
-            for step in steps(RULE) {
-                (0..shape.items()).for_each(|item| shape.run(step, item, &x, &v, &WALLS));
+            let items = shape.blocks();
+            for step in 0..RULE.steps() {
+                (0..items).for_each(|item| shape.step(step, item, (&x, &v), &WALLS));
             }
         }
         [position, velocity]

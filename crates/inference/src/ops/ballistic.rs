@@ -7,6 +7,9 @@
 use crate::checkpoint::Description;
 use eddy_frames::Domain;
 
+/// Position (domain lengths) and velocity (domain lengths per second) of a particle.
+pub(crate) type Motion = ([f32; 2], [f32; 2]);
+
 /// Gravity, frame interval and effective walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ballistic {
@@ -88,7 +91,7 @@ impl Ballistic {
 
 /// A number between limits, by two selections instead of branches that depend on data; NaN stays NaN.
 #[inline(always)]
-pub(super) fn clamped(x: f32, low: f32, high: f32) -> f32 {
+pub(crate) fn clamped(x: f32, low: f32, high: f32) -> f32 {
     let raised = if x < low { low } else { x };
     if raised > high { high } else { raised }
 }

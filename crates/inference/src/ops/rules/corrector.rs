@@ -1,8 +1,10 @@
 //! The rules after any predictor.
 
-use super::{super::Ballistic, Observed, Predicted, RuleSet, Stage};
+use super::{
+    Ballistic, Network, Observed, Predicted, Rules, Scratch, Stage, elastic::ExpectedNodes,
+};
 use crate::{
-    checkpoint::{Description, GridOptions},
+    checkpoint::Description,
     kernels::{
         lattice::{Expected, Lattices},
         nodes::{MIN_LEVELS, Nodes, Window},
@@ -15,26 +17,29 @@ use eddy_threads::DisjointSlice;
 /// Applies the rules of a checkpoint after any predictor, on the caller's thread: for comparison, not for speed.
 #[derive(Clone, Debug)]
 pub struct Corrector {
-    rules: RuleSet,
+    rules: Rules,
     stages: Vec<Stage>,
     ballistic: Ballistic,
     /// The domain in training.
     domain: Domain,
     /// Of the grid on which bodies are found (domain lengths).
     cell_width: f32,
+    /// Distance between particles at rest (domain lengths).
+    spacing: f32,
 }
 
 impl Corrector {
     /// The rules of the described network; a frame model has none.
     pub fn new(description: &Description) -> Self {
-        let rules = RuleSet::new(description);
-        let cell_width = |grid: &GridOptions| grid.cell_width;
+        let rules = description.rules;
+        let Network { cell_width, spacing, .. } = Network::of(description);
         Self {
             stages: rules.stages(),
             rules,
             ballistic: Ballistic::new(description),
             domain: description.domain,
-            cell_width: description.grid.as_ref().map_or(0.0, cell_width),
+            cell_width,
+            spacing,
         }
     }
 
@@ -68,8 +73,10 @@ impl Corrector {
             nodes: &nodes,
             ballistic: self.ballistic.for_domain(&self.domain, &before.domain),
             domain: before.domain,
+            spacing: self.spacing,
             rest,
             lattices,
+            expected: ExpectedNodes::new(expected),
             order: &order,
         };
         let predicted = Predicted {
@@ -77,8 +84,8 @@ impl Corrector {
             velocity: DisjointSlice::new(&mut predicted.velocity),
             material: &predicted.material,
         };
-        let mut scratch = self.rules.scratch();
-        let correction = self.rules.begin(&mut scratch, observed, expected, predicted);
+        let mut scratch = Scratch::default();
+        let correction = self.rules.begin(&mut scratch, observed, predicted);
         for &stage in &self.stages {
             (0..correction.items(stage)).for_each(|item| correction.run(stage, item));
         }

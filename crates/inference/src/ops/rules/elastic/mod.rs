@@ -3,18 +3,27 @@
 //! expected them leaves its body as predicted. Later rules apply to the result. Walls have turned its velocity within the frame; it is not
 //! stopped there as in a ballistic step.
 
+mod constants;
+
 use std::ops::Range;
 
-use super::{super::Ballistic, Observed, Predicted};
+use super::{
+    Ballistic, InFrame, Launch, Most, Network, Observed, Predicted, RuleOperation, WrongConstant,
+    bodies::Bodies,
+};
 use crate::{
-    checkpoint::{Description, ElasticRule},
+    checkpoint::Description,
     kernels::{
         lattice::{self, Elasticity, Expected, Lattices, Walls},
         rest_shape::RestShape,
     },
 };
+pub use constants::{ElasticRule, JELLY_MODULUS};
 use eddy_frames::Material;
 use eddy_threads::DisjointSlice;
+
+/// Threads of a block on a GPU, which moves a body.
+pub(super) const THREADS: usize = 512;
 
 /// The lattices of jelly among particles at `position` (domain lengths), with the rows `rows` of a rest shape, in a stream of this
 /// stiffness (density x velocity^2), if the network is conditioned on it; empty if the rule `elastic` is off.
@@ -56,50 +65,87 @@ fn elasticity(rule: &ElasticRule, ballistic: &Ballistic, spacing: f32) -> Elasti
     }
 }
 
-/// Buffers of each body.
-pub(super) type Scratch = Vec<lattice::Scratch>;
+impl RuleOperation for ElasticRule {
+    /// The modulus is that of the jelly in the data.
+    const STANDARD: Option<Self> = None;
+    /// `elastic.cu` of `eddy-cuda`, beside the tables of lattices that it reads.
+    const DEVICE: &'static str = "";
 
-/// The motion of a stream's bodies in a frame.
-pub(super) struct Elastic<'a> {
-    lattices: &'a Lattices,
+    /// Of each body.
+    type Scratch = Vec<lattice::Scratch>;
+    type InFrame<'a> = Elastic<'a>;
+
+    fn check(&self, network: &Network) -> Result<(), WrongConstant> {
+        self.check_constants(network)
+    }
+
+    fn steps(&self) -> usize {
+        1
+    }
+
+    fn begin<'a>(&self, scratch: &'a mut Self::Scratch, observed: &Observed<'a>) -> Elastic<'a> {
+        let bodies = observed.lattices.bodies().len();
+        scratch.resize_with(bodies.max(scratch.len()), Default::default);
+        Elastic { scratch: DisjointSlice::new(scratch) }
+    }
+
+    /// They are those of each lattice.
+    fn device_constants(&self, _: &Network) -> Vec<f32> {
+        Vec::new()
+    }
+
+    fn launches(&self, most: &Most) -> Vec<Launch> {
+        let threads = most.lattices * THREADS;
+        vec![Launch { block: THREADS, ..Launch::new("elastic", threads) }]
+    }
+}
+
+/// Where the lattices of a stream expect their nodes.
+#[derive(Clone, Copy)]
+pub(crate) struct ExpectedNodes<'a> {
     positions: DisjointSlice<'a, [f32; 2]>,
     most_errors: DisjointSlice<'a, f32>,
+}
+
+impl<'a> ExpectedNodes<'a> {
+    pub(crate) fn new(Expected { positions, most_errors }: &'a mut Expected) -> Self {
+        let (positions, most_errors) =
+            (DisjointSlice::new(positions), DisjointSlice::new(most_errors));
+        Self { positions, most_errors }
+    }
+}
+
+/// The motion of a stream's bodies in a frame; an item is a body.
+pub(crate) struct Elastic<'a> {
     scratch: DisjointSlice<'a, lattice::Scratch>,
 }
 
-impl<'a> Elastic<'a> {
-    pub(super) fn new(
-        lattices: &'a Lattices,
-        Expected { positions, most_errors }: &'a mut Expected,
-        scratch: &'a mut Scratch,
-    ) -> Self {
-        scratch.resize_with(lattices.bodies().len().max(scratch.len()), Default::default);
-        Self {
-            lattices,
-            positions: DisjointSlice::new(positions),
-            most_errors: DisjointSlice::new(most_errors),
-            scratch: DisjointSlice::new(scratch),
-        }
-    }
-
-    /// Number of bodies.
-    pub(super) fn items(&self) -> usize {
-        self.lattices.bodies().len()
+impl InFrame for Elastic<'_> {
+    fn items(&self, _: usize, observed: &Observed<'_>) -> usize {
+        observed.lattices.bodies().len()
     }
 
     /// Replaces what was predicted for a body.
-    pub(super) fn run(&self, body: usize, observed: &Observed, predicted: &Predicted) {
-        let &Observed { position, velocity, ref ballistic, order, .. } = observed;
+    fn run(
+        &self,
+        _: usize,
+        body: usize,
+        observed: &Observed<'_>,
+        _: &Bodies,
+        predicted: &Predicted<'_>,
+    ) {
+        let &Observed { position, velocity, ref ballistic, order, lattices, expected, .. } =
+            observed;
         let walls = Walls { lower: ballistic.lower, upper: ballistic.upper };
-        let nodes = self.lattices.nodes(body);
+        let nodes = lattices.nodes(body);
         // SAFETY: only this item has this body, and bodies share no nodes.
         let (scratch, expected) = unsafe {
-            let most_error = &mut self.most_errors.part(body..body + 1)[0];
-            let expected = (self.positions.part(nodes), most_error);
+            let most_error = &mut expected.most_errors.part(body..body + 1)[0];
+            let expected = (expected.positions.part(nodes), most_error);
             (&mut self.scratch.part(body..body + 1)[0], expected)
         };
         let motion = (position, velocity);
-        for (row, impulse) in self.lattices.impulses(body, &walls, motion, expected, scratch) {
+        for (row, impulse) in lattices.impulses(body, &walls, motion, expected, scratch) {
             // SAFETY: a particle is in one body, and this stage only reads and writes its own.
             let (to, speed) = unsafe { predicted.one(order[row] as usize) };
             for axis in 0..2 {
