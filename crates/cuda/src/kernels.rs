@@ -4,8 +4,12 @@ use eddy_inference::{
     checkpoint::{
         Activation, Core, Description, FeatureScaling, Form, FrameOutput, MaterialInput, Pooling,
     },
-    engine::{Ballistic, Decoded},
-    ops::cell,
+    engine::Ballistic,
+    ops::{
+        cell,
+        decoder::{self, Decoded},
+        linear,
+    },
 };
 
 use crate::error::{CudaError, Result};
@@ -46,6 +50,8 @@ pub(crate) const PARTICLE_SOURCE: &[&str] = &[
     include_str!("common.cu"),
     cell::DEVICE,
     include_str!("particle/nodes.cu"),
+    linear::DEVICE,
+    decoder::DEVICE,
     include_str!("particle/layers.cu"),
 ];
 

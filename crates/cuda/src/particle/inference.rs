@@ -41,11 +41,10 @@ use crate::{
     kernels::particle::{
         layers::{
             ParticleDecode, ParticleEncode, ParticleGridLayer, ParticleStore, ParticleToNodes,
-            THREADS as TILE_THREADS,
         },
         nodes::{
             ParticleChunks, ParticleLoad, ParticleRank, ParticleScan, ParticleScatter,
-            SCAN_THREADS, Stream,
+            SCAN_THREADS, Stream, THREADS as TILE_THREADS,
         },
     },
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},

@@ -10,82 +10,6 @@
 #define ODD4(w) ((w) / 4 % 2 ? (w) : (w) + 4)
 #define CONCAT (F4 + C04)
 #define WIDEST(a, b) ((a) > (b) ? (a) : (b))
-#define THREADS 128
-// Rows that a thread multiplies.
-#define ROWS 4
-
-template <int UNITS> __device__ __forceinline__ void load_units(const float* from, float* to) {
-  if constexpr (UNITS == 4) {
-    const float4 four = *(const float4*)from;
-    to[0] = four.x; to[1] = four.y; to[2] = four.z; to[3] = four.w;
-  } else {
-    const float2 two = *(const float2*)from;
-    to[0] = two.x; to[1] = two.y;
-  }
-}
-// sums[slot of gate][row][unit] += x w for ROWS rows of x, `step` apart, over `inner` numbers. The gate SPLIT goes to the slot
-// behind the last gate; none if SPLIT is COUNT.
-template <int COUNT, int SLOTS, int UNITS, int SPLIT>
-__device__ __forceinline__ void add_products(float (&sums)[SLOTS][ROWS][UNITS], const float* x, int step, const float* __restrict__ w,
-    int columns, int gate_columns, int inner) {
-#pragma unroll 2
-  for (int k = 0; k < inner; k += 4) {
-    float row[ROWS][4];
-#pragma unroll
-    for (int r = 0; r < ROWS; r++) load_units<4>(x + r * step + k, row[r]);
-#pragma unroll
-    for (int i = 0; i < 4; i++)
-#pragma unroll
-      for (int gate = 0; gate < COUNT; gate++) {
-        const int slot = gate == SPLIT ? COUNT : gate;
-        float weight[UNITS];
-        load_units<UNITS>(w + (size_t)(k + i) * columns + gate * gate_columns, weight);
-#pragma unroll
-        for (int r = 0; r < ROWS; r++)
-#pragma unroll
-          for (int u = 0; u < UNITS; u++) sums[slot][r][u] = fmaf(row[r][i], weight[u], sums[slot][r][u]);
-      }
-  }
-}
-// A linear layer on the rows of a tile in shared memory, with ReLU if `rectified`; the bias is behind the matrix.
-template <int TILE_ROWS, bool BIASED> __device__ __forceinline__ void tile_product(const float* x, int x_stride, float* y, int y_stride,
-    const float* __restrict__ w, int inner, int outputs, bool rectified) {
-  constexpr int apart = TILE_ROWS / ROWS;
-  for (int item = threadIdx.x; item < apart * (outputs / 4); item += THREADS) {
-    const int row = item % apart, column = item / apart * 4;
-    float sums[1][ROWS][4];
-#pragma unroll
-    for (int r = 0; r < ROWS; r++) {
-      if constexpr (BIASED) load_units<4>(w + (size_t)inner * outputs + column, sums[0][r]);
-      else
-        for (int u = 0; u < 4; u++) sums[0][r][u] = 0.0f;
-    }
-    add_products<1, 1, 4, -1>(sums, x + row * x_stride, apart * x_stride, w + column, outputs, 0, inner);
-#pragma unroll
-    for (int r = 0; r < ROWS; r++)
-#pragma unroll
-      for (int u = 0; u < 4; u++) {
-        const float sum = sums[0][r][u];
-        y[(row + r * apart) * y_stride + column + u] = rectified && sum < 0.0f ? 0.0f : sum;
-      }
-  }
-}
-__device__ __forceinline__ void tile_linear(const float* x, int x_stride, float* y, int y_stride, const float* __restrict__ w, int inner,
-    int outputs, bool rectified) {
-  tile_product<TILE, true>(x, x_stride, y, y_stride, w, inner, outputs, rectified);
-}
-
-// The ballistic step of a particle on an axis (`Ballistic::step`); `free` is its velocity without walls, which stop it unless it
-// `moves`.
-struct Fall { float x, v, free; bool moves; };
-template <class S> __device__ __forceinline__ Fall ballistic(const S& s, const Body& body, int axis) {
-  const float free = body.v[axis] + s.fall[axis], mean = multiply_rounded(0.5f, body.v[axis] + free);
-  const float to = body.x[axis] + multiply_rounded(mean, s.dt);
-  const float raised = to > s.wall_lower[axis] ? to : s.wall_lower[axis];
-  const float clamped = raised < s.wall_upper[axis] ? raised : s.wall_upper[axis];
-  return {clamped, clamped == to ? free : 0.0f, free, clamped == to};
-}
-
 __device__ __forceinline__ float exponential(float x) { return exp2_approximate(LOG2E * x); }
 
 // Scales of wall proximity, `engine/scales.rs`; of strain and bend, `kernels/rest_shape.rs` of eddy-inference.
@@ -479,18 +403,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_decode(const Stre
     __syncthreads();
     for (int row = threadIdx.x; row < count; row += THREADS) {
       const u32 p = s.order[begin + row];
-      const Body body = s.bodies[p];
-      Body next;
-#pragma unroll
-      for (int a = 0; a < 2; a++) {
-        const Fall fall = ballistic(s, body, a);
-        const float v = fmaf(x[row * x_stride + a], s.unit, fall.v), place = fmaf(x[row * x_stride + 2 + a] * s.unit, s.dt, fall.x);
-        // Comparisons: NaN stays NaN.
-        const float faster = v < s.slowest[a] ? s.slowest[a] : v, farther = place < s.wall_lower[a] ? s.wall_lower[a] : place;
-        next.v[a] = faster > s.fastest[a] ? s.fastest[a] : faster;
-        next.x[a] = farther > s.wall_upper[a] ? s.wall_upper[a] : farther;
-      }
-      s.next[p] = next;
+      s.next[p] = limited(s, unlimited(s, s.bodies[p], x + row * x_stride));
     }
     __syncthreads();
   }

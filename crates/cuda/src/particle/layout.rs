@@ -26,7 +26,7 @@ use crate::{
     error::{CudaError, Result},
     kernels::{
         AXES, MATERIALS, PARTICLE_SOURCE, Program,
-        particle::layers::{Layer, ROWS},
+        particle::{layers::Layer, nodes::ROWS},
         round_up,
     },
 };

@@ -11,6 +11,8 @@
 //   NODES      nodes of a block
 #define ROUND4(n) (((n) + 3) / 4 * 4)
 #define MISSING 0xffffffffu
+#define THREADS 128 // of a block that has a tile of particles
+#define ROWS 4      // that a thread multiplies
 #define NODE_FEATURES 5 // mass, and proximity to four walls
 
 // A neighbour at rest (`Link` of eddy-inference).

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use pulp::Simd;
 
-use super::linear::{Linear, add_products, load};
+use crate::ops::linear::packed::{Linear, add_products, load};
 use crate::{
     checkpoint::{Description, Weights},
     ops::cell::{AnyCell, Cell, MAX_SUMS},

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use pulp::Simd;
 
-use super::linear::{Aligned, Linear, add_products, outputs};
+use crate::ops::linear::packed::{Aligned, Linear, add_products, outputs};
 use crate::{
     checkpoint::{
         Activation, Description, FeatureScaling, MaterialInput, Normalization, Weights, layout,

@@ -10,14 +10,16 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
-    decoded::Decoded,
     encoder::{BLOCK, Encoder},
     hidden_state::FrameMemory,
-    linear::{Linear, add_products, outputs},
 };
 use crate::{
     checkpoint::{Activation, Description, Pooling, Weights},
     kernels::{activation::Activate, vectors::Lanes},
+    ops::{
+        decoder::Decoded,
+        linear::packed::{Linear, add_products, outputs},
+    },
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_threads::{DisjointSlice, Task, ThreadPool};

@@ -9,9 +9,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     Ballistic,
-    linear::{SplitLinear, load, store},
     merged::MERGED_NODE_FEATURES,
-    products::{Gathered, Output, Rows, Sink, Source, apply},
     scales::{FULL_MASS, MIN_MASS},
     scatter::Segments,
 };
@@ -25,6 +23,10 @@ use crate::{
         activation::Exponentials,
         math::relu,
         nodes::{Level, MISSING, Nodes, Row, range},
+    },
+    ops::linear::{
+        packed::{SplitLinear, load, store},
+        rows::{Gathered, Output, Rows, Sink, Source, apply},
     },
 };
 use eddy_frames::Domain;

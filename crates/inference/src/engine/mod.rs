@@ -2,12 +2,11 @@
 //!
 //! 1. [`scales`]: units of the particle model's inputs and outputs. [`Ballistic`]: the motion of a particle that touches
 //!    nothing.
-//! 2. `linear`: weights packed in the order in which they are read, and their products with rows of numbers;
-//!    `products`: a linear layer for a block of rows.
+//! 2. The operations ([`ops`](crate::ops)) have linear layers, cells, the step from the decoder's outputs, and the rules.
 //! 3. `core`: the layers of the five recurrent cores.
 //! 4. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
 //! 5. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
-//!    (Table 1), whose outputs [`Decoded`] turns into states.
+//!    (Table 1), whose outputs [`Decoded`](crate::ops::decoder::Decoded) turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
 //!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
 //!    `merged` combines layers that have no activation between them.
@@ -26,20 +25,17 @@
 mod accelerator;
 mod baseline;
 mod core;
-mod decoded;
 mod encoder;
 mod error;
 mod fits;
 mod frame_model;
 mod grid;
 mod hidden_state;
-mod linear;
 mod merged;
 mod order;
 mod particle_blocks;
 mod particle_features;
 mod particle_model;
-mod products;
 pub mod scales;
 mod scatter;
 mod stepper;
@@ -55,7 +51,6 @@ pub use crate::ops::{
 };
 pub use accelerator::{Accelerator, DeviceState, DeviceStep, Precision, StreamStart};
 pub use baseline::Baseline;
-pub use decoded::Decoded;
 pub use error::ModelError;
 pub use fits::fits;
 pub use hidden_state::HiddenState;

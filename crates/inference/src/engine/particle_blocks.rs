@@ -4,14 +4,21 @@
 use pulp::Simd;
 
 use super::{
-    Ballistic,
     core::CoreLayer,
-    linear::store,
     particle_features::{Motion, ballistic_motion},
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
-    products::{Columns, Output, Rows, Sum, apply},
 };
-use crate::{checkpoint::grid::READ, kernels::transfer::gather, ops::ballistic::clamped};
+use crate::{
+    checkpoint::grid::READ,
+    kernels::transfer::gather,
+    ops::{
+        decoder::ResidualStep,
+        linear::{
+            packed::store,
+            rows::{Columns, Output, Rows, Sum, apply},
+        },
+    },
+};
 
 /// Outputs of the decoder.
 const OUTPUTS: usize = 4;
@@ -130,6 +137,7 @@ impl StepContext<'_> {
     #[inline(always)]
     fn predict(&self, particles: &[u32], ballistic_motion: &[Motion], residuals: &[f32]) {
         let model = self.model;
+        let step = ResidualStep { ballistic: self.walls.ballistic, ..model.step };
         let residuals = residuals.chunks_exact(model.decoder.stride());
         for ((&particle, ballistic_motion), residual) in
             particles.iter().zip(ballistic_motion).zip(residuals)
@@ -138,8 +146,7 @@ impl StepContext<'_> {
             let (position, velocity) =
                 unsafe { self.predicted.one(self.place[particle as usize] as usize) };
             let (residual, _) = residual.as_chunks::<OUTPUTS>();
-            (*position, *velocity) =
-                model.add(&self.walls.ballistic, ballistic_motion, &residual[0]);
+            (*position, *velocity) = step.from_ballistic(ballistic_motion, &residual[0]);
         }
     }
 
@@ -194,27 +201,6 @@ impl StepContext<'_> {
                 }
             }
         }
-    }
-}
-
-impl ParticleModel {
-    /// Adds the decoder's residual to the ballistic step and clamps the result. NaN stays NaN.
-    #[inline(always)]
-    fn add(
-        &self,
-        ballistic: &Ballistic,
-        (position, velocity): &Motion,
-        residual: &[f32; OUTPUTS],
-    ) -> Motion {
-        // Loops: closures of `map` and `from_fn` may not be inlined and would lose the SIMD instruction set.
-        let (mut place, mut speed, unit) = ([0.0; 2], [0.0; 2], self.features.velocity_unit);
-        for axis in 0..2 {
-            let faster = velocity[axis] + residual[axis] * unit;
-            speed[axis] = clamped(faster, self.slowest[axis], self.fastest[axis]);
-            let farther = position[axis] + residual[2 + axis] * unit * ballistic.dt;
-            place[axis] = ballistic.clamp_axis(axis, farther);
-        }
-        (place, speed)
     }
 }
 

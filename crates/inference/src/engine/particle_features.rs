@@ -4,7 +4,6 @@ use pulp::Simd;
 
 use super::{
     Ballistic,
-    linear::{load, store},
     scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 use crate::{
@@ -13,6 +12,7 @@ use crate::{
         math::exp,
         rest_shape::{RestShape, SHAPE_FEATURES},
     },
+    ops::linear::packed::{load, store},
 };
 use eddy_frames::{Domain, Material};
 

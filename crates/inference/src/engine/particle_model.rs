@@ -14,11 +14,9 @@ use super::{
     core::CoreLayer,
     grid::{self, Fields, Grid, Walls},
     hidden_state::{ParticleMemory, StreamParticles, stride},
-    linear::{Linear, SplitLinear},
     merged::merged,
     order::reorder,
     particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
-    scales::velocity_limits,
     scatter::Segments,
 };
 use crate::{
@@ -27,7 +25,11 @@ use crate::{
         nodes::{Nodes, Window},
         vectors::Lanes,
     },
-    ops::rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
+    ops::{
+        decoder::ResidualStep,
+        linear::packed::{Linear, SplitLinear},
+        rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
+    },
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -50,9 +52,8 @@ pub(super) struct ParticleModel {
     pub(super) decoder: SplitLinear,
     /// H.
     pub(super) hidden: usize,
-    /// Smallest and largest velocity that the network predicts, by axis (domain lengths per second).
-    pub(super) slowest: [f32; 2],
-    pub(super) fastest: [f32; 2],
+    /// From the decoder's outputs to the next state, in the domain of training.
+    pub(super) step: ResidualStep,
     rules: Rules,
     /// Distance between particles at rest (domain lengths).
     spacing: f32,
@@ -100,7 +101,6 @@ impl ParticleModel {
         let grid = grid.expect("checked descriptions of particle models have one");
         let tensors = &merged(grid, tensors);
         let linear = |layer| SplitLinear::named(lanes, tensors, layer);
-        let (slowest, fastest) = velocity_limits(&description.normalization);
         let spacing = grid.spacing;
         let grid = Grid::pack(lanes, grid, tensors);
         let rules = description.rules;
@@ -115,8 +115,7 @@ impl ParticleModel {
             mixer: linear("mixer"),
             decoder: linear("decoder"),
             hidden: description.sizes.hidden,
-            slowest,
-            fastest,
+            step: ResidualStep::new(description),
             stages: stages(&grid, &rules),
             grid,
             rules,

@@ -8,8 +8,8 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use super::linear::{load, store};
 use crate::kernels::nodes::{Cell, Nodes, Row, range};
+use crate::ops::linear::packed::{load, store};
 
 /// A part of the list of slots.
 #[derive(Clone, Copy, Debug)]

@@ -9,9 +9,10 @@
 //!
 //! Missing neighbours and children count as zeros. The products are those of [`narrow`](super::narrow).
 
+use crate::ops::linear::Gradients;
+
 use super::{
     activation::relu_gradient,
-    linear::Gradients,
     matrix::Matrix,
     narrow::{Panels, Rows, matrix_gradient, products},
 };

@@ -10,8 +10,7 @@
 //!
 //! Values and gradients of whole layers, for training:
 //!
-//! 4. [`linear`]: a linear layer. [`matrix`] has products of large matrices, [`narrow`] products with matrices of few
-//!    columns.
+//! 4. [`matrix`]: products of large matrices. [`narrow`]: products with matrices of few columns.
 //! 5. [`encoder`]: a linear layer and an activation on particles, and the mean over them.
 //! 6. [`packed`]: recurrent weights, for products frame by frame.
 //!
@@ -28,7 +27,6 @@ pub mod activation;
 pub mod encoder;
 pub mod gathered;
 pub mod lattice;
-pub mod linear;
 pub mod math;
 pub mod matrix;
 pub mod narrow;

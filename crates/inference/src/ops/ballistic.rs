@@ -75,6 +75,12 @@ impl Ballistic {
         (position, velocity)
     }
 
+    /// Whether no wall stops a particle in the step, by axis.
+    pub fn moving(&self, position: [f32; 2], velocity: [f32; 2]) -> [bool; 2] {
+        let ((free, _), (held, _)) = (self.free(position, velocity), self.step(position, velocity));
+        [0, 1].map(|axis| free[axis] == held[axis])
+    }
+
     /// A coordinate clamped to the space between the walls; NaN stays NaN.
     #[inline(always)]
     pub fn clamp_axis(&self, axis: usize, x: f32) -> f32 {

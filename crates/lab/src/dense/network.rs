@@ -1,6 +1,6 @@
 //! The network on the processor, with Adam (Kingma and Ba 2015) without clipping.
 
-use eddy_inference::{checkpoint::Activation, kernels::linear::Linear};
+use eddy_inference::{checkpoint::Activation, ops::linear::Linear};
 
 use super::trainer::{BETAS, Move};
 

@@ -2,11 +2,7 @@
 //!
 //! features (F) -> Linear -> ReLU -> Linear (C0) -> grid -> gathered (C0);
 //! features, gathered -> Linear -> ReLU -> recurrent layers (H) -> mixer -> ReLU -> decoder (4).
-//! The decoder gives a velocity and a position residual on the ballistic step, in units of the standard deviation u of
-//! velocities in training: v' = v_b + u (o_1, o_2), x' = x_b + u dt (o_3, o_4). The position has its own residual because a
-//! frame spans many substeps: an early impulse moves a particle further than a late one. v' is clamped to the range in
-//! training extended by a quarter on each side, x' to the effective walls, so that rollouts stay finite. A zero decoder
-//! gives the ballistic step.
+//! The decoder gives a velocity and a position residual on the ballistic step ([`ResidualStep`]); a zero decoder gives that step.
 
 use burn::tensor::{Device, Tensor};
 
@@ -23,7 +19,8 @@ use super::{
 use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint::{Description, GridOptions},
-    engine::{Ballistic, scales::velocity_limits},
+    engine::Ballistic,
+    ops::decoder::ResidualStep,
 };
 
 /// The particle model with its normalisation.
@@ -34,14 +31,12 @@ pub(crate) struct ParticleModel {
     domain: Domain,
     scaling: Scaling,
     ballistic: BallisticTensors,
-    /// The smallest and the largest velocities (domain lengths per second).
-    limits: [[f32; 2]; 2],
+    residual: ResidualStep,
 }
 
 impl ParticleModel {
     pub(crate) fn new(description: &Description, layers: Layers, device: &Device) -> Self {
         let scale = &description.normalization;
-        let (slowest, fastest) = velocity_limits(scale);
         let grid = description.grid.clone();
         Self {
             layers,
@@ -49,7 +44,7 @@ impl ParticleModel {
             domain: description.domain,
             scaling: Scaling::new(scale, device),
             ballistic: BallisticTensors::new(Ballistic::new(description), device),
-            limits: [slowest, fastest],
+            residual: ResidualStep::new(description),
         }
     }
 
@@ -159,9 +154,7 @@ impl ParticleModel {
         let halves = |t: Tensor<2>| [0, 2].map(|k| t.clone().slice([0..rows, k..k + 2]));
         let ParticleState { position, velocity } = state.clone();
         if self.fused() {
-            let (ballistic, unit) = (self.ballistic.plain, self.scaling.velocity_unit);
-            let inputs = [position, velocity, output];
-            let next = fused_layers::advance(ballistic, unit, self.limits, inputs); // [2 rows, 2]
+            let next = fused_layers::advance(self.residual, [position, velocity, output]); // [2 rows, 2]
             let half = |first: usize| next.clone().slice([first..first + rows, 0..2]);
             return ParticleState { position: half(0), velocity: half(rows) };
         }
@@ -169,8 +162,8 @@ impl ParticleModel {
         let [faster, farther] = halves(output.mul_scalar(self.scaling.velocity_unit));
         let farther = farther.mul_scalar(self.ballistic.plain.dt);
         let device = faster.device();
-        let [slowest, fastest] =
-            self.limits.map(|limit| Tensor::<1>::from_floats(limit, &device).unsqueeze::<2>());
+        let [slowest, fastest] = [self.residual.slowest, self.residual.fastest]
+            .map(|limit| Tensor::<1>::from_floats(limit, &device).unsqueeze::<2>());
         let between =
             |x: Tensor<2>, low: Tensor<2>, high: Tensor<2>| x.max_pair(low).min_pair(high);
         let BallisticTensors { lower, upper, .. } = self.ballistic.clone();

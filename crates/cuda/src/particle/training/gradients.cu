@@ -13,7 +13,7 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
   const size_t at = particle_row(s, sheet, p);
   const Body body = s.states[at];
   float* output = s.output + at * OUT4;
-  const Body next = unlimited(s, body, output), found = limited_body(s, next);
+  const Body next = unlimited(s, body, output), found = limited(s, next);
   const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
   const bool free = t + 1 >= s.warm_up, goes_on = free && t + 1 < frames_of(s);
   const float scale = 2.0f * s.scales[(free ? 0 : s.batch) + b];
@@ -25,15 +25,10 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
       gx += by_state.x[a];
       gv += by_state.v[a];
     }
-    // No gradient passes a limit.
-    if (!(next.x[a] >= s.wall_lower[a] && next.x[a] <= s.wall_upper[a])) gx = 0.0f;
-    if (!(next.v[a] >= s.slowest[a] && next.v[a] <= s.fastest[a])) gv = 0.0f;
-    output[a] = s.unit * gv;
-    output[DIM + a] = multiply_rounded(s.unit, s.dt) * gx;
+    step_gradient(s, body, next, a, gx, gv, output);
     if (t >= s.warm_up) {
-      const Fall fall = ballistic(s, body, a);
-      by_state.x[a] = fall.moves ? gx : 0.0f;
-      by_state.v[a] = fall.moves ? fmaf(s.dt, gx, gv) : 0.0f;
+      by_state.x[a] = gx;
+      by_state.v[a] = gv;
     }
   }
 }

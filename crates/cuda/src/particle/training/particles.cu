@@ -196,26 +196,6 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const P
   }
 }
 
-// The predicted state of a particle from its own and the decoder's output, before it is limited.
-__device__ __forceinline__ Body unlimited(const Plan& s, const Body& body, const float* output) {
-  Body next;
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    const Fall fall = ballistic(s, body, a);
-    next.v[a] = fmaf(s.unit, output[a], fall.v);
-    next.x[a] = fmaf(multiply_rounded(s.unit, s.dt), output[DIM + a], fall.x);
-  }
-  return next;
-}
-__device__ __forceinline__ float limited(float v, float low, float high) { return fminf(fmaxf(v, low), high); }
-__device__ __forceinline__ Body limited_body(const Plan& s, Body body) {
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    body.v[a] = limited(body.v[a], s.slowest[a], s.fastest[a]);
-    body.x[a] = limited(body.x[a], s.wall_lower[a], s.wall_upper[a]);
-  }
-  return body;
-}
 // What a frame is to predict; of an observed frame, what the network is shown.
 __device__ __forceinline__ Body truth_of(const Plan& s, const Window& window, u32 n, int t, int b, u32 p) {
   if (t + 1 < s.warm_up) return s.states[particle_row(s, (t + 1) * s.batch + b, p)];
@@ -242,7 +222,7 @@ extern "C" __global__ void __launch_bounds__(256) train_advance(const Plan* __re
   if (p < n) {
     const Window& window = window_of(s, b);
     const size_t at = particle_row(s, sheet, p);
-    const Body found = limited_body(s, unlimited(s, s.states[at], s.output + at * OUT4));
+    const Body found = limited(s, unlimited(s, s.states[at], s.output + at * OUT4));
     if (t + 1 >= s.warm_up && t + 1 < frames_of(s)) s.states[at + (size_t)s.batch * s.most] = found;
     const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
 #pragma unroll

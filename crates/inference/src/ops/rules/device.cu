@@ -15,8 +15,7 @@ static double bits_double(u64 bits) { double v; std::memcpy(&v, &bits, 8); retur
 #endif
 
 __device__ __forceinline__ float clamp_axis(const Stream& s, int axis, float x) {
-  const float raised = x < s.wall_lower[axis] ? s.wall_lower[axis] : x;
-  return raised > s.wall_upper[axis] ? s.wall_upper[axis] : raised;
+  return clamped(x, s.wall_lower[axis], s.wall_upper[axis]);
 }
 
 // Free fall without walls (`Ballistic::free`).

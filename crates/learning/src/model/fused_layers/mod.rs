@@ -17,8 +17,8 @@ use eddy_inference::{
     kernels::{
         activation::{Elu, Relu, Sigmoid, Tanh, relu_gradient},
         encoder::{Encoder, Gradients, Means},
-        linear::Linear,
     },
+    ops::linear::Linear,
 };
 
 /// A linear layer, optionally with ReLU: `input` `[R, I]`, `weight` `[I, O]` and `bias` `[O]` to `[R, O]`.

@@ -16,6 +16,7 @@ use eddy_inference::{
         activation::Exponentials,
         rest_shape::{RestShape, SHAPE_FEATURES},
     },
+    ops::decoder::ResidualStep,
 };
 
 /// Rows per task.
@@ -86,19 +87,12 @@ impl Operation<2> for ExpectedVelocities {
         let rows = pairs(position).par_iter().zip(pairs(velocity)).zip(pairs(gradient));
         let by: Vec<_> = rows
             .map(|((x, v), g)| {
-                let moving = moving(&self.0, x, v);
+                let moving = self.0.moving(*x, *v);
                 [0, 1].map(|axis| if moving[axis] { g[axis] } else { 0.0 })
             })
             .collect();
         [vec![0.0; position.len()], by.into_flattened()]
     }
-}
-
-/// Whether no wall stops a particle, by axis.
-fn moving(ballistic: &Ballistic, x: &[f32; 2], v: &[f32; 2]) -> [bool; 2] {
-    let free = ballistic.free(*x, *v);
-    let clamped = ballistic.step(*x, *v).0;
-    [0, 1].map(|axis| free.0[axis] == clamped[axis])
 }
 
 /// [`Scaling::particle`](crate::model::features::Scaling::particle): positions, velocities and expected velocities, `[R, 2]`,
@@ -202,7 +196,7 @@ impl Operation<4> for Features {
         let all = above.zip(below).with_min_len(ROWS);
         all.for_each(
             |(((x, v), (features, g)), ((position, velocity), (expected_velocity, shape)))| {
-                let moving = moving(&self.ballistic, x, v);
+                let moving = self.ballistic.moving(*x, *v);
                 for axis in 0..2 {
                     let wall_impulse = if moving[axis] { 0.0 } else { g[4 + axis] };
                     velocity[axis] = unit * (g[axis] + g[2 + axis] - wall_impulse);
@@ -232,54 +226,26 @@ impl Operation<4> for Features {
 /// The predicted positions, followed by the predicted velocities, `[2 R, 2]`, from the current ones and the decoder's output,
 /// `[R, 4]`.
 pub(crate) fn advance(
-    ballistic: Ballistic,
-    velocity_unit: f32,
-    limits: [[f32; 2]; 2],
+    step: ResidualStep,
     [position, velocity, output]: [Tensor<2>; 3],
 ) -> Tensor<2> {
     let [rows, _] = output.dims();
-    let inputs = [input(position), input(velocity), input(output)];
-    apply(Advance { ballistic, velocity_unit, limits }, inputs, [2 * rows, 2])
+    apply(Advance(step), [input(position), input(velocity), input(output)], [2 * rows, 2])
 }
 
 #[derive(Clone, Debug)]
-struct Advance {
-    ballistic: Ballistic,
-    velocity_unit: f32,
-    /// Smallest and largest velocities.
-    limits: [[f32; 2]; 2],
-}
-
-impl Advance {
-    /// The predicted position and velocity before clamping.
-    fn unlimited(&self, x: &[f32; 2], v: &[f32; 2], o: &[f32; 4]) -> [f32; 4] {
-        let (x, v) = self.ballistic.step(*x, *v);
-        let (unit, step) = (self.velocity_unit, self.velocity_unit * self.ballistic.dt);
-        [x[0] + step * o[2], x[1] + step * o[3], v[0] + unit * o[0], v[1] + unit * o[1]]
-    }
-
-    /// Limits of position and velocity.
-    fn bounds(&self) -> [[f32; 4]; 2] {
-        let Ballistic { lower, upper, .. } = self.ballistic;
-        let [slowest, fastest] = self.limits;
-        let join = |[a, b]: [f32; 2], [c, d]: [f32; 2]| [a, b, c, d];
-        [join(lower, slowest), join(upper, fastest)]
-    }
-}
+struct Advance(ResidualStep);
 
 impl Operation<3> for Advance {
     type Kept = ();
 
     fn forward(&self, [position, velocity, output]: [&[f32]; 3]) -> (Vec<f32>, ()) {
-        let [low, high] = self.bounds();
         let mut next = vec![[0.0; 2]; position.len()];
         let (to_position, to_velocity) = next.split_at_mut(position.len() / 2);
         let states = pairs(position).par_iter().zip(pairs(velocity)).zip(output.as_chunks::<4>().0);
         let all = states.zip(to_position.par_iter_mut().zip(to_velocity)).with_min_len(ROWS);
         all.for_each(|(((x, v), o), (position, velocity))| {
-            let next = self.unlimited(x, v, o);
-            let [x, y, u, v] = std::array::from_fn(|k| next[k].max(low[k]).min(high[k]));
-            (*position, *velocity) = ([x, y], [u, v]);
+            (*position, *velocity) = self.0.next(*x, *v, o);
         });
         (next.into_flattened(), ())
     }
@@ -292,8 +258,6 @@ impl Operation<3> for Advance {
         gradient: &[f32],
         _wanted: [bool; 3],
     ) -> [Vec<f32>; 3] {
-        let [low, high] = self.bounds();
-        let dt = self.ballistic.dt;
         let mut by_position = vec![[0.0; 2]; position.len() / 2];
         let mut by_velocity = vec![[0.0; 2]; position.len() / 2];
         let mut by_output = vec![[0.0; 4]; position.len() / 2];
@@ -303,20 +267,9 @@ impl Operation<3> for Advance {
         let above = states.zip(output.as_chunks::<4>().0.par_iter().zip(above));
         let below = by_position.par_iter_mut().zip(&mut by_velocity).zip(&mut by_output);
         let all = above.zip(below).with_min_len(ROWS);
-        all.for_each(|(((x, v), (o, (g, h))), ((position, velocity), output))| {
-            let next = self.unlimited(x, v, o);
-            let g = [g[0], g[1], h[0], h[1]];
-            let within = |k: usize| next[k] >= low[k] && next[k] <= high[k];
-            let g: [f32; 4] = std::array::from_fn(|k| if within(k) { g[k] } else { 0.0 });
-            let moving = moving(&self.ballistic, x, v);
-            for axis in 0..2 {
-                if moving[axis] {
-                    position[axis] = g[axis];
-                    velocity[axis] = dt * g[axis] + g[2 + axis];
-                }
-                output[axis] = self.velocity_unit * g[2 + axis];
-                output[2 + axis] = self.velocity_unit * dt * g[axis];
-            }
+        all.for_each(|(((x, v), (o, by_next)), ((position, velocity), output))| {
+            let by = self.0.gradient(*x, *v, o, by_next);
+            (*position, *velocity, *output) = (by.position, by.velocity, by.output);
         });
         [by_position.into_flattened(), by_velocity.into_flattened(), by_output.into_flattened()]
     }

@@ -18,7 +18,7 @@ const CACHE_LINE: usize = 64;
 
 /// A buffer aligned to a cache line.
 #[derive(Debug)]
-pub(super) struct Aligned {
+pub(crate) struct Aligned {
     numbers: Vec<f32>,
     offset: usize,
     length: usize,
@@ -26,25 +26,25 @@ pub(super) struct Aligned {
 
 impl Aligned {
     /// A buffer of `length` zeros.
-    pub(super) fn zeros(length: usize) -> Self {
+    pub(crate) fn zeros(length: usize) -> Self {
         let numbers = vec![0.0f32; length + CACHE_LINE / size_of::<f32>()];
         let offset = numbers.as_ptr().align_offset(CACHE_LINE);
         Self { numbers, offset, length }
     }
 
     #[inline(always)]
-    pub(super) fn get(&self) -> &[f32] {
+    pub(crate) fn get(&self) -> &[f32] {
         &self.numbers[self.offset..self.offset + self.length]
     }
 
-    pub(super) fn get_mut(&mut self) -> &mut [f32] {
+    pub(crate) fn get_mut(&mut self) -> &mut [f32] {
         &mut self.numbers[self.offset..self.offset + self.length]
     }
 }
 
 /// A linear layer, y = W x + b, or a part of its outputs, packed in panels of outputs.
 #[derive(Debug)]
-pub(super) struct Linear {
+pub(crate) struct Linear {
     /// Outputs per panel.
     lanes: usize,
     input: usize,
@@ -62,7 +62,7 @@ pub(super) struct Linear {
 impl Linear {
     /// Packs part number `part` of `parts` equal parts of the outputs (a gate, if the layer computes several) from a
     /// checkpoint's weight, `[output, input]`, and bias, `[output]`.
-    pub(super) fn pack(
+    pub(crate) fn pack(
         lanes: usize,
         weight: &Weights,
         bias: &Weights,
@@ -101,86 +101,86 @@ impl Linear {
     }
 
     /// Packs a layer outside the core by name.
-    pub(super) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
+    pub(crate) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
         let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
         Self::pack(lanes, weight, bias, 0, 1)
     }
 
     /// Number of inputs.
-    pub(super) fn input(&self) -> usize {
+    pub(crate) fn input(&self) -> usize {
         self.input
     }
 
     /// Number of outputs.
-    pub(super) fn output(&self) -> usize {
+    pub(crate) fn output(&self) -> usize {
         self.output
     }
 
     /// Number of panels.
-    pub(super) fn panels(&self) -> usize {
+    pub(crate) fn panels(&self) -> usize {
         self.output.div_ceil(self.lanes)
     }
 
     /// The outputs of a panel.
     #[inline(always)]
-    pub(super) fn outputs(&self, panel: usize) -> Range<usize> {
+    pub(crate) fn outputs(&self, panel: usize) -> Range<usize> {
         let Range { start, end } = outputs(panel, self.lanes, self.output);
         self.first + start..self.first + end
     }
 
     /// The outputs of a panel in rows of all outputs, padded to whole panels.
     #[inline(always)]
-    pub(super) fn padded_outputs(&self, panel: usize) -> Range<usize> {
+    pub(crate) fn padded_outputs(&self, panel: usize) -> Range<usize> {
         self.first + panel * self.lanes..self.first + (panel + 1) * self.lanes
     }
 
     /// Weights of a panel, `[input, lane]`.
     #[inline(always)]
-    pub(super) fn panel(&self, panel: usize) -> &[f32] {
+    pub(crate) fn panel(&self, panel: usize) -> &[f32] {
         let length = self.input * self.lanes;
         &self.weight.get()[panel * length..(panel + 1) * length]
     }
 
     /// Weights of a panel for a range of inputs.
     #[inline(always)]
-    pub(super) fn inputs(&self, panel: usize, inputs: Range<usize>) -> &[f32] {
+    pub(crate) fn inputs(&self, panel: usize, inputs: Range<usize>) -> &[f32] {
         &self.panel(panel)[inputs.start * self.lanes..inputs.end * self.lanes]
     }
 
     /// Biases of a panel, repeated for R rows.
     #[inline(always)]
-    pub(super) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {
+    pub(crate) fn bias<S: Simd, const R: usize>(&self, simd: S, panel: usize) -> [S::f32s; R] {
         [load(simd, &self.bias.get()[panel * self.lanes..(panel + 1) * self.lanes]); R]
     }
 
     /// Number of panels without the last ones whose outputs are their biases, as their weights are all zero (with NaN as an input, too).
     #[inline(always)]
-    pub(super) fn computed_panels(&self) -> usize {
+    pub(crate) fn computed_panels(&self) -> usize {
         self.computed_panels
     }
 
     /// Number of weights, including padding.
-    pub(super) fn weight_count(&self) -> usize {
+    pub(crate) fn weight_count(&self) -> usize {
         self.weight.length
     }
 }
 
-/// A linear layer for [`apply`](super::products::apply). On processors with vectors of 512 bits, last outputs that fill at most half
+/// A linear layer for [`apply`](super::rows::apply). On processors with vectors of 512 bits, last outputs that fill at most half
 /// of one are computed in vectors of 256 bits. Where a product of 512 bits takes as long as two of 256 (AMD Zen 4) they take half
 /// the time, which is 2 % of a frame of the shipped model: its decoder has 4 outputs, its coarser levels have 40 and 56.
 #[derive(Debug)]
-pub(super) struct SplitLinear {
-    pub(super) whole: Linear,
+pub(crate) struct SplitLinear {
+    pub(crate) whole: Linear,
     /// The last outputs, and the instruction set that they are packed for.
     #[cfg(target_arch = "x86_64")]
-    pub(super) last: Option<(V3, Linear)>,
+    pub(crate) last: Option<(V3, Linear)>,
     /// Length of output rows.
     stride: usize,
 }
 
 impl SplitLinear {
     /// Packs a checkpoint's weight, `[output, input]`, and bias, `[output]`.
-    pub(super) fn pack(lanes: usize, weight: &Weights, bias: &Weights) -> Self {
+    pub(crate) fn pack(lanes: usize, weight: &Weights, bias: &Weights) -> Self {
         let output = bias.values.len();
         let stride = output.next_multiple_of(lanes);
         #[cfg(target_arch = "x86_64")]
@@ -205,23 +205,23 @@ impl SplitLinear {
     }
 
     /// Packs a layer by name.
-    pub(super) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
+    pub(crate) fn named(lanes: usize, tensors: &BTreeMap<String, Weights>, layer: &str) -> Self {
         let [weight, bias] = layout::names(layer).map(|name| &tensors[&name]);
         Self::pack(lanes, weight, bias)
     }
 
     /// Number of inputs.
-    pub(super) fn input(&self) -> usize {
+    pub(crate) fn input(&self) -> usize {
         self.whole.input()
     }
 
     /// Length of output rows: whole panels of the widest vectors. Numbers behind the outputs are arbitrary.
-    pub(super) fn stride(&self) -> usize {
+    pub(crate) fn stride(&self) -> usize {
         self.stride
     }
 
     /// Number of weights, including padding.
-    pub(super) fn weight_count(&self) -> usize {
+    pub(crate) fn weight_count(&self) -> usize {
         self.stride * self.input()
     }
 }
@@ -232,13 +232,13 @@ const HALF_LANES: usize = 8;
 
 /// The outputs of a panel: `lanes`, or fewer in the last one.
 #[inline(always)]
-pub(super) fn outputs(panel: usize, lanes: usize, output: usize) -> Range<usize> {
+pub(crate) fn outputs(panel: usize, lanes: usize, output: usize) -> Range<usize> {
     panel * lanes..((panel + 1) * lanes).min(output)
 }
 
 /// Loads a vector, which the last panel of a row may fill only in part.
 #[inline(always)]
-pub(super) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
+pub(crate) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
     match S::as_simd_f32s(row) {
         ([vector], []) => *vector,
         _ => simd.partial_load_f32s(row),
@@ -247,7 +247,7 @@ pub(super) fn load<S: Simd>(simd: S, row: &[f32]) -> S::f32s {
 
 /// Stores a vector, of which the last panel of a row may hold only a part.
 #[inline(always)]
-pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
+pub(crate) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
     match S::as_mut_simd_f32s(row) {
         ([vector], []) => *vector = numbers,
         (_, _) => simd.partial_store_f32s(row, numbers),
@@ -257,7 +257,7 @@ pub(super) fn store<S: Simd>(simd: S, row: &mut [f32], numbers: S::f32s) {
 /// Adds to `sums` the products of G panels, each `[input, lane]`, with R rows of `input` numbers or more. Each sum is
 /// accumulated in K independent parts, input k in part k mod K, which hides the latency of additions.
 #[inline(always)]
-pub(super) fn add_products<S: Simd, const G: usize, const R: usize, const K: usize>(
+pub(crate) fn add_products<S: Simd, const G: usize, const R: usize, const K: usize>(
     simd: S,
     panels: [&[f32]; G],
     rows: [&[f32]; R],
@@ -310,11 +310,11 @@ mod tests {
     use proptest::prelude::*;
     use pulp::{Arch, WithSimd};
 
-    use super::*;
-    use crate::{
-        engine::products::{Output, Rows, apply},
-        kernels::vectors::Lanes,
+    use super::{
+        super::rows::{Output, Rows, apply},
+        *,
     };
+    use crate::kernels::vectors::Lanes;
 
     /// The outputs of a layer, `[rows, output]`, from `[rows, input]`.
     struct Outputs<'a>(&'a SplitLinear, &'a [f32], usize);

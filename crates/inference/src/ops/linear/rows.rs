@@ -7,11 +7,11 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use super::linear::{Linear, SplitLinear, add_products, load, store};
+use super::packed::{Linear, SplitLinear, add_products, load, store};
 use crate::kernels::math::relu;
 
 /// The inputs of a layer, row by row.
-pub(super) trait Source {
+pub(crate) trait Source {
     /// Adds to `sums` the products of the R rows from `first` on with G panels. Beyond `count` rows, the last one is
     /// repeated.
     fn add<S: Simd, const G: usize, const R: usize>(
@@ -26,14 +26,14 @@ pub(super) trait Source {
 }
 
 /// The outputs of a layer, row by row.
-pub(super) trait Sink {
+pub(crate) trait Sink {
     /// Receives a vector of a row's outputs.
     fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s);
 }
 
 /// Applies a layer to `count` rows.
 #[inline(always)]
-pub(super) fn apply<S: Simd>(
+pub(crate) fn apply<S: Simd>(
     simd: S,
     linear: &SplitLinear,
     count: usize,
@@ -154,11 +154,11 @@ fn add_part<S: Simd, const G: usize, const R: usize>(
 
 /// Contiguous rows.
 #[derive(Clone, Copy)]
-pub(super) struct Rows<'a> {
+pub(crate) struct Rows<'a> {
     /// `[.., width]`.
-    pub(super) numbers: &'a [f32],
+    pub(crate) numbers: &'a [f32],
     /// Length of a row: the number of inputs, or more.
-    pub(super) width: usize,
+    pub(crate) width: usize,
 }
 
 impl<'a> Rows<'a> {
@@ -169,7 +169,7 @@ impl<'a> Rows<'a> {
 
     /// The R rows from `first` on; beyond `count` rows, the last one is repeated.
     #[inline(always)]
-    pub(super) fn block<const R: usize>(&self, first: usize, count: usize) -> [&'a [f32]; R] {
+    pub(crate) fn block<const R: usize>(&self, first: usize, count: usize) -> [&'a [f32]; R] {
         let mut rows = [[].as_slice(); R];
         for (r, row) in rows.iter_mut().enumerate() {
             *row = self.row((first + r).min(count - 1));
@@ -194,10 +194,10 @@ impl Source for Rows<'_> {
 }
 
 /// The rows of a block in column-major order.
-pub(super) struct Columns<'a> {
+pub(crate) struct Columns<'a> {
     /// `[inputs, length]`; the values of missing rows are arbitrary.
-    pub(super) numbers: &'a [f32],
-    pub(super) length: usize,
+    pub(crate) numbers: &'a [f32],
+    pub(crate) length: usize,
 }
 
 impl Source for Columns<'_> {
@@ -239,12 +239,12 @@ impl Source for Columns<'_> {
 }
 
 /// Rows of K concatenated rows that a table selects. Missing rows count as zeros.
-pub(super) struct Gathered<'a, const K: usize> {
-    pub(super) table: &'a [[u32; K]],
+pub(crate) struct Gathered<'a, const K: usize> {
+    pub(crate) table: &'a [[u32; K]],
     /// All rows, and a zero row behind them.
-    pub(super) rows: Rows<'a>,
+    pub(crate) rows: Rows<'a>,
     /// Index of the zero row.
-    pub(super) zero: usize,
+    pub(crate) zero: usize,
 }
 
 impl<const K: usize> Source for Gathered<'_, K> {
@@ -277,11 +277,11 @@ impl<const K: usize> Source for Gathered<'_, K> {
 }
 
 /// Contiguous rows, with ReLU if `rectify`.
-pub(super) struct Output<'a> {
+pub(crate) struct Output<'a> {
     /// `[.., width]`.
-    pub(super) numbers: &'a mut [f32],
-    pub(super) width: usize,
-    pub(super) rectify: bool,
+    pub(crate) numbers: &'a mut [f32],
+    pub(crate) width: usize,
+    pub(crate) rectify: bool,
 }
 
 impl Sink for Output<'_> {
@@ -294,11 +294,11 @@ impl Sink for Output<'_> {
 }
 
 /// Contiguous rows, ReLU of the sum with other rows.
-pub(super) struct Sum<'a> {
+pub(crate) struct Sum<'a> {
     /// `[.., width]`.
-    pub(super) numbers: &'a mut [f32],
-    pub(super) width: usize,
-    pub(super) added: Rows<'a>,
+    pub(crate) numbers: &'a mut [f32],
+    pub(crate) width: usize,
+    pub(crate) added: Rows<'a>,
 }
 
 impl Sink for Sum<'_> {

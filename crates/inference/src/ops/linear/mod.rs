@@ -1,12 +1,24 @@
-//! A linear layer, y = x W + b, optionally followed by ReLU, and its gradients.
+//! A linear layer, y = x W + b with x `[R, I]`, W `[I, O]`, b `[O]`, optionally followed by ReLU.
+//!
+//! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/matrix` and `kernels/narrow`.
+//! 2. `packed`, `rows`: for predictions, weights in the order in which they are read, and blocks of rows whose sums stay in
+//!    registers. A fused form: the layers of a block of particles run one after the other in the nearest cache.
+//! 3. `device.cu`: for predictions on GPUs. Trainings multiply with cuBLASLt, or, in the particle model, on tensor cores in the
+//!    kernels that gather their rows (`particle/training/products.cu` of `eddy-cuda`).
 
-use super::{
+pub(crate) mod packed;
+pub(crate) mod rows;
+
+use crate::kernels::{
     activation::{relu_gradient, relu_in_place},
     matrix::{Accumulate, Matrix, multiply, product, sum_rows},
     narrow::{Panels, Rows, add_products, matrix_gradient, products},
 };
 
-/// Largest size of a weight for the products of [`narrow`](super::narrow).
+/// The layers of a tile of rows on GPUs.
+pub const DEVICE: &str = include_str!("device.cu");
+
+/// Largest size of a weight for the products of [`narrow`](crate::kernels::narrow).
 const MAX_NARROW: usize = 1 << 13;
 
 /// A layer with I inputs and O outputs.
@@ -101,7 +113,7 @@ impl Linear<'_> {
 
 impl Gradients {
     /// The gradient by the bias alone, from the gradient by the sums, `[R, O]`.
-    pub(super) fn new(gradient: &[f32], outputs: usize) -> Self {
+    pub(crate) fn new(gradient: &[f32], outputs: usize) -> Self {
         let mut bias = vec![0.0; outputs];
         sum_rows(gradient, &mut bias);
         Self { input: Vec::new(), weight: Vec::new(), bias }
