@@ -18,13 +18,13 @@ use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, ElasticRule, Form, GridOptions, Normalization,
-        Rules, Sizes, initial_weights, tensors_of_knots,
+        RestRule, Rule, Rules, Sizes, initial_weights, tensors_of_knots,
     },
-    engine::{Accelerator, StepRequest, Surrogate},
+    engine::{Accelerator, StepRequest, Surrogate, scales::velocity_unit},
 };
 use streams::{
-    JELLY, checkpoint, description, elastic, frames, jelly, largest_difference, predict,
-    predict_alone, pushed_jelly, threads,
+    DT, JELLY, RULES, checkpoint, description, elastic, frames, hovering, jelly,
+    largest_difference, predict, predict_alone, pushed_jelly, scene, threads,
 };
 
 /// Largest difference of predictions (domain lengths; domain lengths per second).
@@ -90,6 +90,28 @@ proptest! {
                 (found.sequence, found.stamp, &found.material),
                 (expected.sequence, expected.stamp, &expected.material)
             );
+        }
+    }
+}
+
+#[test]
+fn each_rule_changes_a_scene_made_for_it_as_it_does_on_the_processor() {
+    let frames = scene(3);
+    let bare = predict(&emulated(&hovering(Rules::default())), &frames);
+    for rule in Rule::ALL.into_iter().filter(|rule| RULES.has(*rule)) {
+        let mut only = RULES;
+        only.disable(&Rule::ALL.into_iter().filter(|other| *other != rule).collect::<Vec<_>>());
+        let checkpoint = hovering(only);
+        let expected = predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames);
+        let found = predict(&emulated(&checkpoint), &frames);
+        let changed = apart(&found[0], &bare[0]);
+        assert!(changed > 1e-4, "{rule}: {changed}");
+        for (found, expected) in found.iter().zip(&expected) {
+            let position = largest_difference(&found.position, &expected.position);
+            let velocity = largest_difference(&found.velocity, &expected.velocity);
+            // Rules divide the last digits of positions by dt.
+            let fits = position <= TOLERANCE && velocity <= TOLERANCE / DT;
+            assert!(fits, "{rule}: {position}, {velocity} apart");
         }
     }
 }

@@ -21,10 +21,10 @@ use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, ElasticRule, FeatureScaling, Form,
-        FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, Rules, Sizes,
+        FrameOutput, GridOptions, MaterialInput, Normalization, Pooling, RestRule, Rules, Sizes,
         initial_weights,
     },
-    engine::Surrogate,
+    engine::{Surrogate, scales::velocity_unit},
 };
 use streams::{checkpoint, description, frames, largest_difference, predict, threads};
 

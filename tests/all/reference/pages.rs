@@ -67,12 +67,7 @@ pub fn checkpoint() -> String {
         "crates/inference/src/checkpoint/description.rs",
         "crates/inference/src/checkpoint/network.rs",
         "crates/inference/src/ops/cell/mod.rs",
-        "crates/inference/src/ops/rules/mod.rs",
-        "crates/inference/src/ops/rules/elastic/constants.rs",
-        "crates/inference/src/ops/rules/area/mod.rs",
-        "crates/inference/src/ops/rules/shape/mod.rs",
-        "crates/inference/src/ops/rules/flight/mod.rs",
-        "crates/inference/src/ops/rules/rest/mod.rs",
+        "crates/inference/src/ops/rules",
         "crates/frames/src/lib.rs",
     ]);
     let error_model = Source::of(&[

@@ -40,11 +40,16 @@ pub struct Member {
 pub struct Source(BTreeMap<String, Item>);
 
 impl Source {
-    /// Reads files, given by their path from the root of the workspace.
-    pub fn of(files: &[&str]) -> Self {
+    /// Reads files, and all in folders, given by their path from the root of the workspace.
+    pub fn of(paths: &[&str]) -> Self {
         let mut items = BTreeMap::new();
-        for file in files {
-            read(&fs::read_to_string(root().join(file)).unwrap(), &mut items);
+        let mut open: Vec<_> = paths.iter().map(|path| root().join(path)).collect();
+        while let Some(path) = open.pop() {
+            if path.is_dir() {
+                open.extend(fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path()));
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                read(&fs::read_to_string(path).unwrap(), &mut items);
+            }
         }
         Self(items)
     }

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     Architecture, Checkpoint, Core, Description, Domain, ElasticRule, Frame, GridOptions, Material,
-    Normalization, Rules, Sizes, Stamp, Surrogate, initial_weights,
+    Normalization, RestRule, Rules, Sizes, Stamp, Surrogate, initial_weights, velocity_unit,
 };
 
 pub(super) const DT: f32 = 0.016;
@@ -181,3 +181,62 @@ pub(super) fn pushed_jelly(surrogate: &Surrogate) -> Vec<Frame> {
     frames[2].position[..JELLY].iter_mut().for_each(|[x, _]| *x += 0.01);
     frames
 }
+
+/// A scene for each rule: compressed liquid, deformed jelly in mid-air, and snow at rest on the floor.
+pub(super) fn scene(count: u64) -> Vec<Frame> {
+    const SPACING: f32 = 0.02;
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let block = |material, corner: [f32; 2], columns: usize, apart: f32| {
+        let at = move |k: usize| [(k % columns) as f32, (k / columns) as f32];
+        (0..6 * columns).map(move |k| {
+            (material, [0, 1].map(|axis| corner[axis] + apart * SPACING * at(k)[axis]))
+        })
+    };
+    let rest: Vec<_> = block(Material::Liquid, [0.6, 0.05], 14, 0.8)
+        .chain(block(Material::Jelly, [0.4, 0.6], 9, 1.0))
+        .chain(block(Material::Snow, [0.06, 0.05], 8, 1.0))
+        .collect();
+    let mut near = |value: f32, most: f32| value + random.random_range(-most..most);
+    let first = frames(1, rest.len(), 3).remove(0);
+    let frame = |sequence| Frame {
+        sequence,
+        stamp: Stamp(0).advance(DT, sequence as u32),
+        material: rest.iter().map(|(material, _)| *material).collect(),
+        position: rest
+            .iter()
+            .map(|(material, x)| match material {
+                Material::Jelly => x.map(|x| near(x, 0.2 * SPACING)),
+                _ => *x,
+            })
+            .collect(),
+        velocity: rest
+            .iter()
+            .map(|(material, _)| match material {
+                Material::Jelly => [near(0.3, 0.2), near(-1.0, 0.2)],
+                _ => [near(0.0, 0.001), near(0.0, 0.001)],
+            })
+            .collect(),
+        ..first.clone()
+    };
+    (0..count).map(frame).collect()
+}
+
+/// A particle model whose prediction nearly cancels gravity and changes little else.
+pub(super) fn hovering(rules: Rules) -> Checkpoint {
+    let sizes = Sizes { encoder: 20, hidden: 18, layers: 1, particles: None };
+    let description = description(Architecture::Particle, Core::MinGru, sizes);
+    let up = 9.8 * DT / velocity_unit(&description.normalization);
+    let mut checkpoint = checkpoint(Description { rules, ..description }, 8);
+    let decoder = |name: &str| format!("decoder.{name}");
+    let weight = checkpoint.tensors.get_mut(&decoder("weight")).unwrap();
+    weight.values.iter_mut().for_each(|value| *value *= 1e-3);
+    checkpoint.tensors.get_mut(&decoder("bias")).unwrap().values =
+        vec![0.0, 0.9 * up, 0.0, 0.45 * up];
+    checkpoint
+}
+
+/// The standard rules, with a rule `rest` that acts at the speeds of [`hovering`].
+pub(super) const RULES: Rules = Rules {
+    rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+    ..Rules::STANDARD
+};

@@ -8,10 +8,11 @@ mod streams;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{HiddenState, ModelError, Surrogate};
+use super::{HiddenState, ModelError, Surrogate, scales::velocity_unit};
 use crate::checkpoint::{
     Architecture, Checkpoint, Core, Description, ElasticRule, FrameOptions, GridOptions,
-    Normalization, Pooling, Rules, Sizes, Weights, initial_weights, layout::particle_features,
+    Normalization, Pooling, RestRule, Rules, Sizes, Weights, initial_weights,
+    layout::particle_features,
 };
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use streams::{

@@ -1,11 +1,12 @@
 //! Rules in the engine.
 
 use super::{
-    streams::{DT, JELLY, elastic, predict_alone, pushed_jelly},
+    streams::{DT, JELLY, RULES, elastic, hovering, predict_alone, pushed_jelly, scene},
     *,
 };
 use crate::{
-    engine::{Corrector, hidden_state::Memory, scales::velocity_unit},
+    checkpoint::Rule,
+    engine::{Corrector, hidden_state::Memory},
     kernels::{lattice::Lattices, rest_shape::RestShape},
 };
 
@@ -27,6 +28,19 @@ fn momenta(frame: &Frame) -> ([f64; 2], f64) {
         r[0] * f64::from(v[1]) - r[1] * f64::from(v[0])
     });
     (mean(&frame.velocity), spin.sum::<f64>() / count)
+}
+
+#[test]
+fn every_rule_changes_a_scene_made_for_it() {
+    let frames = scene(1);
+    let with = |rules| predict(&Surrogate::load(&hovering(rules), threads(2)).unwrap(), &frames);
+    let corrected = with(RULES);
+    for rule in Rule::ALL.into_iter().filter(|rule| RULES.has(*rule)) {
+        let mut rules = RULES;
+        rules.remove(rule);
+        let difference = largest_difference(&corrected[0].position, &with(rules)[0].position);
+        assert!(difference > 1e-4, "{rule}: {difference}");
+    }
 }
 
 #[test]
@@ -86,7 +100,7 @@ fn a_body_that_touches_a_wall_is_left_to_the_network() {
 }
 
 /// A network whose prediction cancels gravity, and accelerates to the right by a hundredth of gravity.
-fn hovering() -> Checkpoint {
+fn pulled() -> Checkpoint {
     let mut checkpoint = particle_model(Core::MinGru);
     let unit = velocity_unit(&checkpoint.description.normalization);
     let up = 9.8 * DT / unit;
@@ -99,7 +113,7 @@ fn hovering() -> Checkpoint {
 
 #[test]
 fn a_body_that_touches_a_wall_and_hardly_moves_comes_to_rest() {
-    let surrogate = Surrogate::load(&hovering(), threads(1)).unwrap();
+    let surrogate = Surrogate::load(&pulled(), threads(1)).unwrap();
     let mut frame = disc(400);
     frame.material.fill(Material::Snow);
     frame.position.iter_mut().for_each(|x| x[1] -= 0.44);
