@@ -15,9 +15,11 @@ impl Rules {
         }
     }
 
-    /// The rules that format version 1 implied: those of a new network, but for the rate of the rule `area` and the speeds of the rule `rest`.
+    /// The rules that format version 1 implied: four of those of a new network, but for the rate of the rule `area` and the speeds of
+    /// the rule `rest`.
     pub(super) fn of_version_1(architecture: Architecture) -> Self {
-        let mut rules = Self::standard(architecture);
+        let Self { area, shape, flight, rest, .. } = Self::standard(architecture);
+        let mut rules = Self { area, shape, flight, rest, ..Self::default() };
         if let Some(area) = &mut rules.area {
             area.rate = AreaRule::ALL_AT_ONCE;
         }

@@ -363,11 +363,11 @@ fn a_particle_model_of_version_1_has_all_rules() {
         rate: 1.0,
     };
     let rules = Rules {
-        elastic: None,
         area: Some(area),
         shape: Some(ShapeRule { strain_limit: 0.03, sweeps: 5 }),
         flight: Some(FlightRule { wall_distance: 1.5 }),
         rest: Some(RestRule { wall_distance: 1.5, asleep_below: 0.25, awake_from: 1.0 }),
+        ..Rules::default()
     };
     assert_eq!(golden(1).description.rules, rules);
 }
