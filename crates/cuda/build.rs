@@ -2,6 +2,7 @@
 //! are made of, so that each is declared once, in CUDA. `src/kernels.rs` includes the result.
 //!
 //! It reads the C++ that the kernels' signatures are written in, not all of C++, and fails with the place of what it does not know.
+//! That both languages lay the structs out alike is asserted when the kernels are compiled (`Program::checked_source`).
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -37,6 +38,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     fs::write(to, all.text()?)?;
     Ok(())
 }
+
+/// What the declaration of a kernel begins with.
+const KERNEL: &str = "extern \"C\" __global__ void ";
 
 /// A text of kernels.
 struct File {
@@ -78,6 +82,7 @@ fn collect(root: &Path, folder: &Path, files: &mut Vec<File>) -> Result<(), Box<
 impl File {
     fn parse(module: Vec<String>, text: &str) -> Result<Self, String> {
         let (mut code, mut constants, mut twice) = (String::new(), BTreeMap::new(), Vec::new());
+        let mut conditions = 0;
         let mut lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
         while let Some(line) = lines.next() {
             if !line.starts_with('#') {
@@ -85,10 +90,19 @@ impl File {
                 code.push(' ');
                 continue;
             }
+            for (begin, end) in [("struct ", '}'), (KERNEL, '{')] {
+                let declared = code.rfind(begin).map(|at| &code[at..]);
+                if declared.is_some_and(|text| !text.contains([end, ';'])) {
+                    return Err(format!("a directive within a declaration: {line}"));
+                }
+            }
+            conditions +=
+                i32::from(line.starts_with("#if")) - i32::from(line.starts_with("#endif"));
             if let Some(defined) = line.strip_prefix("#define ")
                 && let Some((name, value)) = defined.split_once(' ')
                 && !name.contains('(')
-                && constants.insert(name.to_owned(), value.trim().to_owned()).is_some()
+                && (conditions > 0
+                    || constants.insert(name.to_owned(), value.trim().to_owned()).is_some())
             {
                 twice.push(name.to_owned());
             }
@@ -115,15 +129,16 @@ impl File {
             let body = rest.split_once('}').map_or(rest, |(body, _)| body);
             let declared = body.split(';').map(str::trim).filter(|text| !text.is_empty());
             let fields = declared.map(variables).collect::<Result<Vec<_>, _>>();
-            self.structs.insert(name.to_owned(), fields?.concat());
+            if self.structs.insert(name.to_owned(), fields?.concat()).is_some() {
+                return Err(format!("struct {name} is declared twice"));
+            }
         }
         Ok(())
     }
 
     fn find_kernels(&mut self, code: &str) -> Result<(), String> {
-        const BEGIN: &str = "extern \"C\" __global__ void ";
-        for (at, _) in code.match_indices(BEGIN) {
-            let rest = without_attribute(&code[at + BEGIN.len()..], "__launch_bounds__");
+        for (at, _) in code.match_indices(KERNEL) {
+            let rest = without_attribute(&code[at + KERNEL.len()..], "__launch_bounds__");
             let signature = rest
                 .split_once('(')
                 .and_then(|(name, rest)| Some((name.trim(), rest.split_once(')')?.0)));
@@ -263,11 +278,6 @@ impl All {
         Ok(kind)
     }
 
-    /// Whether a struct can be written in Rust: not where a length is one that only CUDA knows.
-    fn is_known(&self, from: &File, fields: &[Variable]) -> bool {
-        fields.iter().all(|field| self.kind(from, field).is_ok())
-    }
-
     /// The structs that arguments are made of, by file and name.
     fn reached(&self) -> Result<BTreeSet<(String, String)>, String> {
         let mut reached = BTreeSet::new();
@@ -290,7 +300,7 @@ impl All {
 
     fn text(&self) -> Result<String, String> {
         let reached = self.reached()?;
-        let mut text = String::new();
+        let (mut text, mut layouts) = (String::new(), String::new());
         let mut open: &[String] = &[];
         for file in &self.files {
             let (folders, name) = file.module.split_at(file.module.len() - 1);
@@ -306,16 +316,10 @@ impl All {
                     let _ = writeln!(text, "pub const {name}: usize = {value};");
                 }
             }
-            for (name, fields) in &file.structs {
-                if !reached.contains(&(file.path(), name.clone())) {
-                } else if self.is_known(file, fields) {
-                    self.write_struct(&mut text, file, name, fields)?;
-                } else {
-                    let _ = writeln!(
-                        text,
-                        "/// Known to the kernels only.\n#[derive(Clone, Copy)]\npub struct {name};"
-                    );
-                }
+            let own = |name: &String| reached.contains(&(file.path(), name.clone()));
+            for (name, fields) in file.structs.iter().filter(|(name, _)| own(name)) {
+                self.write_struct(&mut text, file, name, fields)?;
+                let _ = write!(layouts, "({name:?}, size_of::<{}::{name}>()), ", file.path());
             }
             for (name, parameters) in &file.kernels {
                 self.write_kernel(&mut text, file, name, parameters)?;
@@ -323,6 +327,10 @@ impl All {
             text += "}\n";
         }
         text += &"}\n".repeat(open.len());
+        let _ = writeln!(
+            text,
+            "/// Name and size (bytes) of every struct above.\npub const LAYOUTS: &[(&str, usize)] = &[{layouts}];"
+        );
         Ok(text)
     }
 

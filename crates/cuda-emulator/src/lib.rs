@@ -19,8 +19,8 @@ use eddy_cuda::{
     kernels::Program,
 };
 
-/// What every kernel of the library is called by: its name, grid, block and arguments.
-type Launch = unsafe extern "C" fn(*const c_char, *const u32, *const u32, *mut *mut c_void);
+/// What every kernel of the library is called by: its name, grid, block and arguments; false if there is none of this name.
+type Launch = unsafe extern "C" fn(*const c_char, *const u32, *const u32, *mut *mut c_void) -> bool;
 
 /// The device.
 pub struct Emulator {
@@ -119,13 +119,14 @@ fn text(program: &dyn Program) -> String {
     for (name, value) in program.definitions() {
         text += &format!("#define {name} {value}\n");
     }
-    text += &program.source();
-    text += "extern \"C\" __attribute__((visibility(\"default\"))) void launch(const char* kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
+    text += &program.checked_source();
+    text += "extern \"C\" __attribute__((visibility(\"default\"))) bool launch(const char* kernel, const unsigned* grid, const unsigned* block, void** a) {\n";
     for kernel in program.kernels() {
-        text +=
-            &format!("  if (!std::strcmp(kernel, \"{kernel}\")) call({kernel}, grid, block, a);\n");
+        text += &format!(
+            "  if (!std::strcmp(kernel, \"{kernel}\")) return call({kernel}, grid, block, a), true;\n"
+        );
     }
-    text + "}\n"
+    text + "  return false;\n}\n"
 }
 
 fn compile(source: &str) -> Result<Library> {
@@ -237,13 +238,13 @@ impl Device for Emulator {
         let name = CString::new(kernel).expect("the name of a kernel");
         let library = self.library.lock().unwrap_or_else(|broken| broken.into_inner());
         // SAFETY: the library has this function, see `text`; the arguments are the caller's promise.
-        unsafe {
+        let found = unsafe {
             let launch = library
                 .get::<Launch>(b"launch")
                 .map_err(|reason| CudaError::Call { call: "dlsym", reason: reason.to_string() })?;
-            launch(name.as_ptr(), grid.as_ptr(), block.as_ptr(), arguments.as_mut_ptr());
-        }
-        Ok(())
+            launch(name.as_ptr(), grid.as_ptr(), block.as_ptr(), arguments.as_mut_ptr())
+        };
+        if found { Ok(()) } else { Err(CudaError::unknown_kernel(kernel)) }
     }
 
     fn rank(&self) -> Rank {

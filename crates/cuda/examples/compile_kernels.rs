@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let capabilities: Vec<u32> = arguments.map(|word| word.parse()).collect::<Result<_, _>>()?;
     let programs: Vec<_> = programs()?
         .into_iter()
-        .map(|(name, program)| (name, program.source(), program.definitions()))
+        .map(|(name, program)| (name, program.checked_source(), program.definitions()))
         .collect();
     let targets: Vec<_> = capabilities
         .iter()

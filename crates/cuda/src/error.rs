@@ -73,6 +73,13 @@ pub enum CudaError {
     },
 }
 
+impl CudaError {
+    /// A launch of a kernel that the device's program does not have.
+    pub fn unknown_kernel(kernel: &'static str) -> Self {
+        Self::Call { call: kernel, reason: "the program has no kernel of this name".to_owned() }
+    }
+}
+
 /// A result of this crate.
 pub type Result<T> = std::result::Result<T, CudaError>;
 

@@ -18,8 +18,9 @@ pub(crate) use generated::*;
 
 use frame::{encoder::Scaling, motion::Motion};
 
-/// The arguments of every kernel, and the structs and whole numbers that they are made of: `build.rs` has read them from the
-/// `.cu` files. The arguments of `frame/loss.cu` are those in `kernels::frame::loss`.
+/// The arguments of every kernel of this crate, and the structs and whole numbers that they are made of: `build.rs` has read them
+/// from the `.cu` files. The arguments of `frame/loss.cu` are those in `kernels::frame::loss`. The kernels of rules, which
+/// `eddy-inference` has, all have the arguments of `elastic`.
 #[expect(unsafe_code, reason = "structs that the device reads")]
 mod generated {
     #![allow(dead_code, reason = "the kernels read what the host does not")]
@@ -78,21 +79,31 @@ pub trait Program {
     /// Names and values for the compiler.
     fn definitions(&self) -> Vec<(&'static str, usize)>;
 
+    /// The text, which is not compiled unless the structs in it have the sizes that they have in Rust.
+    fn checked_source(&self) -> String {
+        let mut source = self.source();
+        for (name, size) in LAYOUTS {
+            if source.contains(&format!(" {name} {{")) {
+                source +=
+                    &format!("static_assert(sizeof({name}) == {size}, \"{name} in Rust\");\n");
+            }
+        }
+        source
+    }
+
     /// The names of the kernels in the text.
     fn kernels(&self) -> Vec<String> {
         let source = self.source();
-        let declared = source.split("extern \"C\" __global__ void").skip(1);
-        declared
-            .map(|text| text[..text.find(") {").unwrap_or(0)].to_owned())
-            .filter_map(name_of)
-            .collect()
+        source.split("extern \"C\" __global__ void ").skip(1).map(name_of).collect()
     }
 }
 
-/// The name in the declaration of a kernel: the last word before the list of its parameters.
-fn name_of(declared: String) -> Option<String> {
-    let (before, _) = declared.rsplit_once('(')?;
-    before.rsplit(|letter: char| letter.is_whitespace()).next().map(str::to_owned)
+/// The name in the declaration of a kernel, behind `void`.
+fn name_of(declared: &str) -> String {
+    let bounded = declared.strip_prefix("__launch_bounds__(");
+    let name = bounded.map_or(Some(declared), |rest| Some(rest.split_once(") ")?.1));
+    let name = name.and_then(|rest| Some(rest.split_once('(')?.0));
+    name.unwrap_or_else(|| panic!("a kernel without a name: {declared:.80}")).to_owned()
 }
 
 /// Materials that the kernels know, `Material::COUNT` of eddy-frames.

@@ -1,6 +1,9 @@
 //! Parses the structs and enums of settings from the source: fields, types, variants, docs.
 
-use std::{collections::BTreeMap, fs};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+};
 
 use super::root;
 
@@ -43,8 +46,8 @@ impl Source {
     /// Reads files, and all in folders, given by their path from the root of the workspace.
     pub fn of(paths: &[&str]) -> Self {
         let mut items = BTreeMap::new();
-        let mut open: Vec<_> = paths.iter().map(|path| root().join(path)).collect();
-        while let Some(path) = open.pop() {
+        let mut open: BTreeSet<_> = paths.iter().map(|path| root().join(path)).collect();
+        while let Some(path) = open.pop_first() {
             if path.is_dir() {
                 open.extend(fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path()));
             } else if path.extension().is_some_and(|extension| extension == "rs") {

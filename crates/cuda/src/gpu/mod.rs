@@ -111,7 +111,7 @@ impl Gpu {
         let streams = [stream()?, stream()?, stream()?, stream()?];
         let (major, minor) = context.compute_capability().context("cuDeviceGetAttribute")?;
         let target = Target::Machine(major as u32 * 10 + minor as u32);
-        let (source, definitions) = (program.source(), program.definitions());
+        let (source, definitions) = (program.checked_source(), program.definitions());
         let load = |image| {
             let _guard = recordings.wait();
             context.load_module(Ptx::from_binary(image)).context("cuModuleLoadData")
@@ -187,15 +187,6 @@ impl Gpu {
         }]
     }
 
-    /// Lets the kernel have that much dynamic shared memory.
-    fn allow_shared(&self, kernel: &str, bytes: usize) -> Result<()> {
-        use sys::CUfunction_attribute_enum::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES;
-        let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
-        self.kernels[kernel]
-            .set_attribute(CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, bytes)
-            .context("cuFuncSetAttribute")
-    }
-
     /// Milliseconds that `work` takes on the device.
     ///
     /// # Errors
@@ -207,6 +198,15 @@ impl Gpu {
         let to = self.streams[0].record_event(flags).context("cuEventRecord")?;
         from.elapsed_ms(&to).context("cuEventElapsedTime")
     }
+}
+
+/// Lets a kernel have that much dynamic shared memory.
+fn allow_shared(function: &CudaFunction, bytes: usize) -> Result<()> {
+    use sys::CUfunction_attribute_enum::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES;
+    let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
+    function
+        .set_attribute(CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, bytes)
+        .context("cuFuncSetAttribute")
 }
 
 /// Dynamic shared memory that a kernel may have without asking (bytes).
@@ -306,15 +306,18 @@ impl Device for Gpu {
         arguments: &mut [*mut c_void],
     ) -> Result<()> {
         self.context.bind_to_thread().context("cuCtxSetCurrent")?;
+        let Some(function) = self.kernels.get(kernel) else {
+            return Err(CudaError::unknown_kernel(kernel));
+        };
         if shape.shared > SHARED_LIMIT {
-            self.allow_shared(kernel, shape.shared)?;
+            allow_shared(function, shape.shared)?;
         }
         let [x, y, z] = shape.grid.map(|size| size as u32);
         let [threads, rows] = shape.block.map(|size| size as u32);
         // SAFETY: the caller's promise; the driver copies the arguments before it returns.
         unsafe {
             result::launch_kernel(
-                self.kernels[kernel].cu_function(),
+                function.cu_function(),
                 (x, y, z),
                 (threads, rows, 1),
                 shape.shared as u32,

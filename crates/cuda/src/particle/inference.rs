@@ -39,6 +39,7 @@ use crate::{
     error::Result,
     graphs::Graphs,
     kernels::particle::{
+        elastic::Elastic,
         layers::{
             ParticleDecode, ParticleEncode, ParticleGridLayer, ParticleStore, ParticleToNodes,
         },
@@ -329,20 +330,17 @@ impl Inference {
         for (rule, launch) in self.scales.rules.launches(&extent.rules) {
             let blocks =
                 Shape::new(blocks(launch.threads, launch.block), extent.streams, launch.block);
-            let (mut streams, mut constants) =
-                (self.rows.pointer(), self.rules.pointer().plus(rule));
-            let (mut rule, mut step): (i32, i32) = (count(rule), count(launch.step));
-            let mut arguments = [
-                std::ptr::from_mut(&mut streams).cast(),
-                std::ptr::from_mut(&mut constants).cast(),
-                std::ptr::from_mut(&mut rule).cast(),
-                std::ptr::from_mut(&mut step).cast(),
-            ];
-            // SAFETY: the parameters of every kernel of a rule; as in `launch`.
-            unsafe {
-                let shape = Shape { shared: launch.shared, ..blocks };
-                self.device.launch_named(Queue::Main, launch.kernel, shape, &mut arguments)
-            }?;
+            let shape = Shape { shared: launch.shared, ..blocks };
+            // The kernels of all rules have the same arguments.
+            let elastic = Elastic {
+                streams: self.rows.pointer(),
+                constants: self.rules.pointer().plus(rule).cast(),
+                rule: count(rule),
+                step: count(launch.step),
+            };
+            let mut arguments = elastic.arguments();
+            // SAFETY: `kernels_of_rules_have_the_same_parameters` in `layout.rs`; as in `launch`.
+            unsafe { self.device.launch_named(Queue::Main, launch.kernel, shape, &mut arguments) }?;
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use eddy_inference::kernels::lattice::{self, Elasticity, Lattices, Point, Share,
 use crate::{
     device::{Device, List, Pointer, count},
     error::{CudaError, Result},
-    kernels::particle::elastic::Lattice,
+    kernels::particle::elastic::{Lattice, LatticePart, LatticePoint, LatticeShare},
 };
 
 /// Nodes of a body at most: its fit has a dense matrix on a device.
@@ -86,26 +86,44 @@ fn append(lattice: &lattice::Lattice, words: &mut Vec<u32>) -> Result<[usize; 10
     for (force, node) in (0..).zip(of_points.chain(of_parts).flatten()) {
         incident[node as usize].push(force);
     }
-    let share = |&Share { index, weight }: &Share| [index, weight.to_bits()];
-    let mut list = |list: &mut dyn Iterator<Item = u32>| {
-        // Pairs of numbers are aligned.
-        words.resize(words.len().next_multiple_of(2), 0);
-        let at = words.len();
-        words.extend(list);
-        at
+    let share = |&Share { index, weight }: &Share| LatticeShare { index, weight };
+    let point = |&Point { nodes, gradients, particles, width }: &Point| LatticePoint {
+        nodes,
+        gradients,
+        particles,
+        width,
     };
+    let part = |&SurfacePart { nodes, weights, particles }: &SurfacePart| LatticePart {
+        nodes,
+        weights,
+        particles,
+    };
+    let corners = lattice.corners().as_flattened().iter().map(share);
+    let samples_first = firsts(&samples);
+    let samples = samples.iter().flatten().map(share);
     Ok([
-        list(&mut lattice.rows().iter().copied()),
-        list(&mut lattice.corners().as_flattened().iter().flat_map(share)),
-        list(&mut firsts(&samples)),
-        list(&mut samples.iter().flatten().flat_map(share)),
-        list(&mut bits(&lattice.normal_equations().inverse())),
-        list(&mut bits(lattice.inverse_mass())),
-        list(&mut firsts(&incident)),
-        list(&mut incident.iter().flatten().copied()),
-        list(&mut lattice.points().iter().flat_map(numbers_of_point)),
-        list(&mut lattice.surface().iter().flat_map(numbers_of_part)),
+        push(words, lattice.rows().iter().copied()),
+        push(words, corners),
+        push(words, samples_first),
+        push(words, samples),
+        push(words, lattice.normal_equations().inverse().into_iter()),
+        push(words, lattice.inverse_mass().iter().copied()),
+        push(words, firsts(&incident)),
+        push(words, incident.iter().flatten().copied()),
+        push(words, lattice.points().iter().map(point)),
+        push(words, lattice.surface().iter().map(part)),
     ])
+}
+
+/// Appends a list; returns where it begins.
+fn push<T: bytemuck::Pod>(words: &mut Vec<u32>, list: impl Iterator<Item = T>) -> usize {
+    // Pairs of numbers are aligned.
+    words.resize(words.len().next_multiple_of(2), 0);
+    let at = words.len();
+    for item in list {
+        words.extend_from_slice(bytemuck::cast_slice(&[item]));
+    }
+    at
 }
 
 /// As the kernels have it, where the lists begin at `words` and its scratch memory behind that of the bodies `before`.
@@ -163,29 +181,12 @@ fn on_device(
     }
 }
 
-fn bits(numbers: &[f32]) -> impl Iterator<Item = u32> {
-    numbers.iter().map(|number| number.to_bits())
-}
-
 /// The first item of each list, if they lie one behind the other, and the end of the last.
 fn firsts<T>(lists: &[Vec<T>]) -> impl Iterator<Item = u32> {
     let mut end = 0;
     let ends = lists.iter().map(move |list| {
-        end += list.len() as u32;
+        end += count::<u32>(list.len());
         end
     });
     std::iter::once(0).chain(ends)
-}
-
-/// `struct LatticePoint` of the kernels.
-fn numbers_of_point(point: &Point) -> impl Iterator<Item = u32> {
-    let Point { nodes, gradients, particles, width } = *point;
-    let numbers = gradients.into_iter().flatten().chain([particles, width]);
-    nodes.into_iter().chain(numbers.map(f32::to_bits))
-}
-
-/// `struct LatticePart` of the kernels.
-fn numbers_of_part(part: &SurfacePart) -> impl Iterator<Item = u32> {
-    let SurfacePart { nodes, weights, particles } = *part;
-    nodes.into_iter().chain(weights.into_iter().chain([particles]).map(f32::to_bits))
 }

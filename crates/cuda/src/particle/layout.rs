@@ -19,6 +19,7 @@ use eddy_inference::{
         layout::{self, particle_features},
     },
     kernels::nodes::{MAX_LEVELS, origin},
+    ops::rules::Network,
 };
 
 use crate::{
@@ -60,6 +61,8 @@ pub struct Constants {
     pub core: Core,
     /// Of the MLP core.
     pub activation: Activation,
+    /// The kernels of the rules.
+    rules: String,
     /// Form of the minimal recurrences.
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum.
@@ -110,6 +113,7 @@ impl Constants {
                 .collect(),
             core: description.core,
             activation: description.frame.activation,
+            rules: description.rules.device_text(&Network::of(description)),
             form: description.form,
             normalized: description.normalize_gates,
             tile: ROWS,
@@ -185,7 +189,7 @@ impl Constants {
 
 impl Program for Constants {
     fn source(&self) -> String {
-        [&PARTICLE_SOURCE.concat(), &*Rules::device_text(), include_str!("elastic.cu")].concat()
+        [&PARTICLE_SOURCE.concat(), &*self.rules, include_str!("elastic.cu")].concat()
     }
 
     fn definitions(&self) -> Vec<(&'static str, usize)> {
@@ -362,5 +366,29 @@ impl Layout {
         add(&mut all, named(layout::names("mixer")), rows, &plain, 1);
         add(&mut all, named(layout::names("decoder")), rows, &plain, 1);
         (Self { encoder, grid, context }, all)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eddy_inference::checkpoint::{Architecture, Sizes};
+
+    #[test]
+    fn kernels_of_rules_have_the_same_parameters() {
+        let sizes = Sizes { encoder: 8, hidden: 8, layers: 1, particles: None };
+        let description = Description::untrained(Architecture::Particle, Core::MinGru, sizes);
+        let text = Constants::of(&description).unwrap().rules + include_str!("elastic.cu");
+        let parameters: Vec<_> = text
+            .split("extern \"C\" __global__ void ")
+            .skip(1)
+            .map(|declared| {
+                let (head, _) = declared.split_once(") {").unwrap();
+                let (_, parameters) = head.rsplit_once('(').unwrap();
+                parameters
+            })
+            .collect();
+        assert!(parameters.len() > 10, "{parameters:?}");
+        assert!(parameters.windows(2).all(|pair| pair[0] == pair[1]), "{parameters:?}");
     }
 }

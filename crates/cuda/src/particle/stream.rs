@@ -9,7 +9,10 @@ use eddy_frames::Domain;
 use eddy_inference::{
     checkpoint::Rules,
     engine::{Ballistic, StreamStart},
-    kernels::nodes::map_extent,
+    kernels::{
+        nodes::map_extent,
+        rest_shape::{self, WeightedNeighbour},
+    },
     ops::rules::{AREA_MARGIN, bodies},
 };
 
@@ -198,7 +201,7 @@ struct Places {
 impl Places {
     fn next<T>(&mut self, items: usize) -> Pointer<T> {
         let at = self.from.plus(self.length);
-        self.length += round_up(items * size_of::<T>() / 4, LINE);
+        self.length += round_up((items * size_of::<T>()).div_ceil(4), LINE);
         at.cast()
     }
 }
@@ -366,6 +369,12 @@ impl StreamMemory for Memory {
     }
 }
 
+impl From<&rest_shape::Link> for Link {
+    fn from(&rest_shape::Link { particle, coefficient, share }: &rest_shape::Link) -> Self {
+        Self { particle, coefficient, share }
+    }
+}
+
 impl Fixed {
     fn new(device: &dyn Device, stream: &StreamStart<'_>) -> Result<Self> {
         let StreamStart { material, rest, lattices, stiffness, .. } = *stream;
@@ -383,16 +392,15 @@ impl Fixed {
             numbers.resize(round_up(numbers.len(), LINE), 0);
             places[1] = numbers.len();
             for link in (0..material.len()).flat_map(|particle| rest.links(particle)) {
-                let [x, y] = link.coefficient.map(f32::to_bits);
-                numbers.extend([link.particle, x, y, link.share.to_bits()]);
+                numbers.extend_from_slice(bytemuck::cast_slice(&[Link::from(link)]));
             }
             numbers.resize(round_up(numbers.len(), LINE), 0);
             places[2] = numbers.len();
             for particle in 0..material.len() {
                 let pairs = rest.neighbours(particle).iter().zip(rest.offsets(particle));
-                for (neighbour, offset) in pairs {
-                    let [x, y] = offset.map(f32::to_bits);
-                    numbers.extend([neighbour.particle, neighbour.share.to_bits(), x, y]);
+                for (&WeightedNeighbour { particle, share }, &offset) in pairs {
+                    let neighbour = Neighbour { particle, share, offset };
+                    numbers.extend_from_slice(bytemuck::cast_slice(&[neighbour]));
                 }
             }
         }

@@ -9,7 +9,7 @@ use crate::kernels::{
 };
 
 /// Numbers of a patch: mass and momentum of its nodes.
-pub(super) const PATCH: usize = 3 * PATCH_NODES;
+pub(super) const PATCH_NUMBERS: usize = 3 * PATCH_NODES;
 /// Numbers of a particle's state, `State` of the kernels.
 pub(super) const NUMBERS: usize = 14;
 
@@ -139,7 +139,7 @@ impl Layout {
             (self.particles, 4 * lists),
             // Place, first and last particle, slot, two lists; counts of its cells.
             (self.tiles.len(), size_of::<Tile>() + (5 + CELLS) * size_of::<u32>()),
-            (self.most_active(), size_of::<i64>() * PATCH),
+            (self.most_active(), size_of::<i64>() * PATCH_NUMBERS),
             (self.nodes, size_of::<[f32; 4]>()),
             (self.scenes.len(), per_scene),
         ];

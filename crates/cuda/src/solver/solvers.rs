@@ -18,7 +18,7 @@ use std::sync::Arc;
 use eddy_mpm::{Accelerator, Interval, MpmError, Solver};
 
 use super::{
-    layout::{Layout, NUMBERS, PATCH},
+    layout::{Layout, NUMBERS, PATCH_NUMBERS},
     particles::HostParticles,
 };
 use crate::{
@@ -205,7 +205,7 @@ impl Loaded {
             list: list(layout.most_active())?,
             touched: list(tiles)?,
             sorted: List::new(device, 1)?,
-            patches: List::new(device, PATCH * layout.most_active())?,
+            patches: List::new(device, PATCH_NUMBERS * layout.most_active())?,
             nodes: List::new(device, layout.nodes)?,
             status: [status()?, status()?],
             drifted: list(scenes)?,

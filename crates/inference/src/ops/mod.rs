@@ -1,5 +1,6 @@
-//! The operations of the networks. A folder has all of one operation but its definitions in burn and PyTorch: what it
-//! computes, on processors with its gradient, on GPUs with its gradient, its tests.
+//! The operations of the networks. A folder has one operation, but for its definitions in burn and PyTorch: what it
+//! computes, on processors and on GPUs, with the gradients that training needs there, and its tests. Forms that are fused with
+//! others stay with these; the folder names them.
 //!
 //! 1. [`cell`]: a layer of the core, from the outputs of its linear layers.
 //! 2. [`linear`]: a linear layer.

@@ -13,7 +13,7 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
   const size_t at = particle_row(s, sheet, p);
   const Body body = s.states[at];
   float* output = s.output + at * OUT4;
-  const Body next = unlimited(s, body, output), found = limited(s, next);
+  const Body next = unlimited(s, body, output), found = limited_in_training(s, next);
   const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
   const bool free = t + 1 >= s.warm_up, goes_on = free && t + 1 < frames_of(s);
   const float scale = 2.0f * s.scales[(free ? 0 : s.batch) + b];
@@ -34,7 +34,7 @@ extern "C" __global__ void __launch_bounds__(256) train_output_gradient(const Pl
 }
 
 // Where a tile's numbers of a layer with ReLU are not positive, there is no gradient by its sums; nor where there is no particle.
-__device__ __forceinline__ void mask_tile(const Tile& tile, float* by, int stride, const float* outputs, int width) {
+__device__ __forceinline__ void mask_tile(const WarpTile& tile, float* by, int stride, const float* outputs, int width) {
   for (int i = lane_of(); i < WARP_ROWS * (width / 4); i += WARP) {
     const int row = i / (width / 4), k = i % (width / 4) * 4;
     const float4 output = quad_of(outputs + (size_t)row * width + k, row < tile.count);
@@ -55,7 +55,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode_gradien
   float *x = slots + WARP_ROWS * LEARN_LONGEST, *y = x + WARP_ROWS * LEARN_NARROW;
   const Plan& s = *plan;
   const int all = frames_of(s);
-  const Tile tile = tile_of(s, blockIdx.y);
+  const WarpTile tile = tile_of(s, blockIdx.y);
   if (!tile.count) return;
   const float* mixer = w + CONTEXT_SIZE + LAYERS * CORE_SIZE;
   for (int t = first + frames - 1; t >= first; t--) {
@@ -219,7 +219,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode_gradien
   Stencil* stencils = (Stencil*)(dots + WARP_ROWS * STENCIL);
   const Plan& s = *plan;
   const int sheet = first + blockIdx.y, b = sheet % s.batch, lane = lane_of();
-  const Tile tile = tile_of(s, b);
+  const WarpTile tile = tile_of(s, b);
   if (!tile.count) return;
   const size_t at = particle_row(s, sheet, tile.begin), here = particle_row(s, blockIdx.y, tile.begin);
   const float* slopes = s.slopes[0] + (size_t)sheet * s.nodes[0] * INPUT4;

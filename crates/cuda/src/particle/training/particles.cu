@@ -2,19 +2,19 @@
 // its error. A warp has a tile of a window's particles; rows of a tile beyond the window are computed, but not kept.
 
 // A warp's tile: particles begin..begin + count of a window.
-struct Tile { int b; u32 begin; int count; };
-__device__ __forceinline__ Tile tile_of(const Plan& s, int b) {
+struct WarpTile { int b; u32 begin; int count; };
+__device__ __forceinline__ WarpTile tile_of(const Plan& s, int b) {
   const u32 begin = (blockIdx.x * LEARN_WARPS + threadIdx.x / WARP) * WARP_ROWS, n = particles_of(s, b);
   return {b, begin, begin < n ? (int)min((u32)WARP_ROWS, n - begin) : 0};
 }
 // Rows of a tile from a list of rows of `width` numbers, and back.
-__device__ __forceinline__ void load_tile(const Tile& tile, float* to, int to_stride, const float* from, int width) {
+__device__ __forceinline__ void load_tile(const WarpTile& tile, float* to, int to_stride, const float* from, int width) {
   for (int i = lane_of(); i < WARP_ROWS * (width / 4); i += WARP) {
     const int row = i / (width / 4), k = i % (width / 4);
     *(float4*)(to + row * to_stride + 4 * k) = quad_of(from + (size_t)row * width + 4 * k, row < tile.count);
   }
 }
-__device__ __forceinline__ void store_tile(const Tile& tile, float* to, int width, const float* from, int from_stride) {
+__device__ __forceinline__ void store_tile(const WarpTile& tile, float* to, int width, const float* from, int from_stride) {
   for (int i = lane_of(); i < tile.count * (width / 4); i += WARP) {
     const int row = i / (width / 4), k = i % (width / 4);
     *(float4*)(to + (size_t)row * width + 4 * k) = *(const float4*)(from + row * from_stride + 4 * k);
@@ -66,7 +66,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode(const P
   float *hidden = x + WARP_ROWS * ODD4(F4), *encoded = hidden + WARP_ROWS * ODD4(E4);
   const Plan& s = *plan;
   const int sheet = first + blockIdx.y, b = sheet % s.batch, row = lane_of();
-  const Tile tile = tile_of(s, b);
+  const WarpTile tile = tile_of(s, b);
   if (!tile.count) return;
   const size_t at = particle_row(s, sheet, tile.begin);
   if (row < WARP_ROWS) {
@@ -110,7 +110,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_decode(const P
   Stencil* stencils = (Stencil*)(last + WARP_ROWS * LEARN_NARROW);
   const Plan& s = *plan;
   const int all = frames_of(s);
-  const Tile tile = tile_of(s, blockIdx.y);
+  const WarpTile tile = tile_of(s, blockIdx.y);
   if (!tile.count) return;
   for (int t = first; t < first + frames; t++) {
     const int sheet = t * s.batch + tile.b;
@@ -222,7 +222,7 @@ extern "C" __global__ void __launch_bounds__(256) train_advance(const Plan* __re
   if (p < n) {
     const Window& window = window_of(s, b);
     const size_t at = particle_row(s, sheet, p);
-    const Body found = limited(s, unlimited(s, s.states[at], s.output + at * OUT4));
+    const Body found = limited_in_training(s, unlimited(s, s.states[at], s.output + at * OUT4));
     if (t + 1 >= s.warm_up && t + 1 < frames_of(s)) s.states[at + (size_t)s.batch * s.most] = found;
     const Body truth = truth_of(s, window, n, t, b, p), weight = error_weight(s, window, t, b, p);
 #pragma unroll

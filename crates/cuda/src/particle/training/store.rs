@@ -106,15 +106,9 @@ impl Lists {
         let end = self.first.len() + most + 1;
         for own in links {
             self.first.push(count(self.links.len()));
-            self.links.extend(own.iter().map(
-                |&rest_shape::Link { particle, coefficient, share }| Link {
-                    particle,
-                    coefficient,
-                    share,
-                },
-            ));
+            self.links.extend(own.iter().map(Link::from));
         }
-        self.first.resize(end, self.links.len() as u32);
+        self.first.resize(end, count(self.links.len()));
     }
 }
 

@@ -35,6 +35,15 @@ template <class S> __device__ __forceinline__ Body limited(const S& s, Body body
   }
   return body;
 }
+// The same for training: NaN becomes the lower limit.
+template <class S> __device__ __forceinline__ Body limited_in_training(const S& s, Body body) {
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    body.v[a] = fminf(fmaxf(body.v[a], s.slowest[a]), s.fastest[a]);
+    body.x[a] = fminf(fmaxf(body.x[a], s.wall_lower[a]), s.wall_upper[a]);
+  }
+  return body;
+}
 // From the gradient by the next state on an axis, `next` being that before it is limited, to the ones by the state (in its place) and
 // by the outputs.
 template <class S> __device__ __forceinline__ void step_gradient(const S& s, const Body& body, const Body& next, int a, float& by_x, float& by_v, float* by_output) {

@@ -6,15 +6,15 @@
 //! checkpoint; a rule without constants is off.
 //!
 //! A rule is a folder: `mod.rs` has its constants, which implement [`RuleOperation`], its steps on processors and its launches
-//! on GPUs; `device.cu` its kernels; the tests compare both. [`Rules`] and [`rules!`] list the rules in the order in which they run; command
+//! on GPUs; `device.cu` its kernels (that of [`elastic`] is in `eddy-cuda`, beside the tables that it reads); tests compare both. [`Rules`] and [`rules!`] list the rules in the order in which they run; command
 //! line, checkpoints, engine and GPUs follow. [`bodies`]: what the rules for connected groups of particles share.
 //!
 //! The particle model runs the stages of the rules after its own, on all threads; [`Corrector`] runs them after any other
 //! predictor. On GPUs the particle model runs the launches of [`Rules::launches`].
 //!
 //! Kernels have the parameters `(const Stream* streams, const float* constants, int rule, int step)`: a block's y is its stream,
-//! `constants` are those of [`RuleOperation::device_constants`], `rule` is the rule's place in the list. `device.cu` beside this
-//! file has what they share.
+//! `constants` point to the struct `NAMEConstants` that [`RuleOperation::device_constants`] makes up, `rule` is the rule's place in
+//! the list. `device.cu` beside this file has what they share.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 mod area;
@@ -78,8 +78,8 @@ pub(crate) trait RuleOperation: Copy + fmt::Debug + Send + Sync + 'static {
         observed: &Observed<'a>,
     ) -> Self::InFrame<'a>;
 
-    /// The constants of its kernels, at most [`DEVICE_CONSTANTS`].
-    fn device_constants(&self, network: &Network) -> Vec<f32>;
+    /// The constants of its kernels by name, at most [`DEVICE_CONSTANTS`]: the fields of the `Constants` that they read.
+    fn device_constants(&self, network: &Network) -> Vec<(&'static str, f32)>;
 
     /// The launches of a frame, in order.
     fn launches(&self, most: &Most) -> Vec<Launch>;
@@ -303,9 +303,16 @@ macro_rules! rules {
                 false $(|| self.$field.is_some() && <$constants as RuleOperation>::NEEDS_BODIES)*
             }
 
-            /// The kernels of all rules.
-            pub fn device_text() -> String {
-                [include_str!("device.cu"), bodies::DEVICE, $(<$constants as RuleOperation>::DEVICE),*].concat()
+            /// The kernels of all rules, also of those that are off, each behind the struct of its constants.
+            pub fn device_text(&self, network: &Network) -> String {
+                let mut text = [include_str!("device.cu"), bodies::DEVICE].concat();
+                $(if let Some(rule) = self.$field.or(<$constants as RuleOperation>::STANDARD) {
+                    let names: Vec<_> =
+                        rule.device_constants(network).iter().map(|(name, _)| *name).collect();
+                    text += &constants_struct(stringify!($name), &names);
+                    text += <$constants as RuleOperation>::DEVICE;
+                })*
+                text
             }
 
             /// The constants of the kernels of each rule in [`Rule::ALL`]; zeros where it is off.
@@ -313,9 +320,11 @@ macro_rules! rules {
                 &self,
                 network: &Network,
             ) -> [[f32; DEVICE_CONSTANTS]; Rule::ALL.len()] {
-                let padded = |constants: Vec<f32>| {
+                let padded = |constants: Vec<(&str, f32)>| {
                     let mut all = [0.0; DEVICE_CONSTANTS];
-                    all[..constants.len()].copy_from_slice(&constants);
+                    for (to, (_, constant)) in all.iter_mut().zip(constants) {
+                        *to = constant;
+                    }
                     all
                 };
                 let off = [0.0; DEVICE_CONSTANTS];
@@ -395,6 +404,15 @@ rules! {
     flight: Flight(FlightRule);
     /// Bodies that touch a wall and hardly move come to rest.
     rest: Rest(RestRule);
+}
+
+/// The struct that the kernels of a rule read their constants from.
+fn constants_struct(rule: &str, names: &[&str]) -> String {
+    assert!(names.len() <= DEVICE_CONSTANTS, "{} constants of the rule {rule}", names.len());
+    match names {
+        [] => String::new(),
+        names => format!("struct {rule}Constants {{ float {}; }};\n", names.join(", ")),
+    }
 }
 
 impl fmt::Display for Rule {

@@ -245,7 +245,7 @@ impl Operation<3> for Advance {
         let states = pairs(position).par_iter().zip(pairs(velocity)).zip(output.as_chunks::<4>().0);
         let all = states.zip(to_position.par_iter_mut().zip(to_velocity)).with_min_len(ROWS);
         all.for_each(|(((x, v), o), (position, velocity))| {
-            (*position, *velocity) = self.0.next(*x, *v, o);
+            (*position, *velocity) = self.0.next_in_training(*x, *v, o);
         });
         (next.into_flattened(), ())
     }

@@ -1,6 +1,5 @@
 // Area: as `mod.rs`, with the grid that the table of streams has for it. The fill is summed in units of 2^-40, so that the sums are
 // exact and have the same bits in any order.
-struct AreaConstants { float width, fill_limit, surface_fill, relaxation, longest_shift, rate, share, beyond, sweeps; }; // share: area of a particle in a cell
 #define FILL_UNIT 1099511627776.0
 #define LIQUID 0
 // Place in the area's grid (cells).

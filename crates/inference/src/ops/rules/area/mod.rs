@@ -117,21 +117,18 @@ impl RuleOperation for AreaRule {
         Area { pressure: DisjointSlice::new(std::slice::from_mut(pressure)) }
     }
 
-    /// `AreaConstants` of the kernels.
-    fn device_constants(&self, network: &Network) -> Vec<f32> {
-        let Self { cell_width, fill_limit, surface_fill, relaxation, longest_shift, .. } = *self;
-        let (share, beyond) = (1.0 / (cell_width * cell_width), BEYOND / cell_width);
-        let width = cell_width * network.spacing;
+    fn device_constants(&self, network: &Network) -> Vec<(&'static str, f32)> {
         vec![
-            width,
-            fill_limit,
-            surface_fill,
-            relaxation,
-            longest_shift,
-            self.rate,
-            share,
-            beyond,
-            self.sweeps as f32,
+            ("width", self.cell_width * network.spacing),
+            ("fill_limit", self.fill_limit),
+            ("surface_fill", self.surface_fill),
+            ("relaxation", self.relaxation),
+            ("longest_shift", self.longest_shift),
+            ("rate", self.rate),
+            // Area of a particle in a cell.
+            ("share", 1.0 / (self.cell_width * self.cell_width)),
+            ("beyond", BEYOND / self.cell_width),
+            ("sweeps", self.sweeps as f32),
         ]
     }
 

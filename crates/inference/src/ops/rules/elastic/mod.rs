@@ -90,7 +90,7 @@ impl RuleOperation for ElasticRule {
     }
 
     /// They are those of each lattice.
-    fn device_constants(&self, _: &Network) -> Vec<f32> {
+    fn device_constants(&self, _: &Network) -> Vec<(&'static str, f32)> {
         Vec::new()
     }
 

@@ -1,5 +1,4 @@
 // By which rigid motion a body's prediction differs from free fall, as `mod.rs`.
-struct FlightConstants { float distance; }; // domain lengths
 struct RigidError { double centre[2], next_centre[2], velocity[2], angle, spin; };
 #define POINT 1e-10
 __device__ __forceinline__ bool rigid_error(const BodySums& body, RigidError& error) {

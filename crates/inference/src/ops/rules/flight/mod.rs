@@ -75,9 +75,8 @@ impl RuleOperation for FlightRule {
         BodyCorrection::new(*self, scratch, observed)
     }
 
-    /// `FlightConstants` of the kernels.
-    fn device_constants(&self, network: &Network) -> Vec<f32> {
-        vec![self.wall_distance * network.cell_width]
+    fn device_constants(&self, network: &Network) -> Vec<(&'static str, f32)> {
+        vec![("distance", self.wall_distance * network.cell_width)]
     }
 
     fn launches(&self, most: &Most) -> Vec<Launch> {

@@ -1,5 +1,4 @@
 // Bodies at walls that hardly move come to rest, as `mod.rs`.
-struct RestConstants { float distance, asleep_below, awake_from, gain; }; // domain lengths; speeds relative to `gain`: that of a frame of free fall
 
 // The mean squared speed of each body's fastest cell, observed or predicted. A thread has a cell. grid (.., B), block 128
 extern "C" __global__ void __launch_bounds__(128) rest_speeds(const Stream* __restrict__ streams, const float* __restrict__ constants, int rule, int step) {

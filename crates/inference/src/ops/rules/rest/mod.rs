@@ -63,10 +63,13 @@ impl RuleOperation for RestRule {
         BodyCorrection::new(*self, scratch, observed)
     }
 
-    /// `RestConstants` of the kernels.
-    fn device_constants(&self, network: &Network) -> Vec<f32> {
-        let distance = self.wall_distance * network.cell_width;
-        vec![distance, self.asleep_below, self.awake_from, network.gain()]
+    fn device_constants(&self, network: &Network) -> Vec<(&'static str, f32)> {
+        vec![
+            ("distance", self.wall_distance * network.cell_width),
+            ("asleep_below", self.asleep_below),
+            ("awake_from", self.awake_from),
+            ("gain", network.gain()),
+        ]
     }
 
     fn launches(&self, most: &Most) -> Vec<Launch> {

@@ -1,5 +1,4 @@
 // Shape: as `mod.rs`.
-struct ShapeConstants { float strain_limit, sweeps; };
 // The rule's scratch memory: [n, 4] limited deformations, [2, n, 2] positions before and after a sweep in turn, [n, 2] offsets.
 __device__ __forceinline__ float4* shape_limited(const Stream& s, int rule) { return (float4*)s.scratch[rule]; }
 __device__ __forceinline__ float* shape_positions(const Stream& s, int rule, int side) { return s.scratch[rule] + (4 + 2 * side) * (size_t)s.particles; }

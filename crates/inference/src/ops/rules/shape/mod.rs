@@ -71,9 +71,8 @@ impl RuleOperation for ShapeRule {
         scratch.shape(*self, observed.rest, observed.order)
     }
 
-    /// `ShapeConstants` of the kernels.
-    fn device_constants(&self, _: &Network) -> Vec<f32> {
-        vec![self.strain_limit, self.sweeps as f32]
+    fn device_constants(&self, _: &Network) -> Vec<(&'static str, f32)> {
+        vec![("strain_limit", self.strain_limit), ("sweeps", self.sweeps as f32)]
     }
 
     fn launches(&self, most: &Most) -> Vec<Launch> {
