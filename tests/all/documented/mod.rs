@@ -1,9 +1,9 @@
 //! Runs every command in `README.md`, in the book and at the end of `--help` as written, except for the changes in
-//! [`tables::CHEAPER`] and the commands in [`tables::NOT_HERE`]. Each page runs from top to bottom in its own folder, which
-//! starts like a clone of the repository.
+//! [`tables::CHEAPER`]. Each page runs from top to bottom in its own folder, which starts like a clone of the repository.
 //!
 //! The opening fence of a block:
 //! - `sh`: commands, one after the other; one that would run forever is interrupted (SIGINT) after its first output.
+//! - `sh skip="REASON"`: commands that do not run here, and why.
 //! - `sh terminals`: one terminal per line, all in parallel; when the last one has ended, the others are interrupted.
 //! - `LANGUAGE FILE`: saved as this file.
 //! - `text`, `toml`, ...: ignored.
@@ -19,8 +19,8 @@ use std::{collections::BTreeSet, fs};
 
 use follow::follow;
 pub use follow::{documents, root, spans};
-use page::{blocks, commands};
-use tables::{CLUSTER, CORES, MANY_ROBOTS, NOT_HERE, NUMBERS, STREAMS};
+use page::blocks;
+use tables::{CLUSTER, CORES, MANY_ROBOTS, NUMBERS, STREAMS};
 
 /// Pages with commands of `eddy-lab`, which its tests follow.
 const OF_THE_LAB: [&str; 5] = [CLUSTER, CORES, STREAMS, MANY_ROBOTS, NUMBERS];
@@ -88,19 +88,6 @@ fn every_command_within_a_sentence_exists() {
         held > 20,
         "found {held} commands, expected more; does the parser still recognise them?"
     );
-}
-
-#[test]
-fn what_does_not_run_here_stands_somewhere() {
-    let mut written = BTreeSet::new();
-    for path in PAGES.iter().chain(&OF_THE_LAB) {
-        for block in blocks(&fs::read_to_string(root().join(path)).unwrap()) {
-            written.extend(commands(&block.text));
-        }
-    }
-    for (command, reason) in NOT_HERE {
-        assert!(written.contains(*command), "no page has `{command}` ({reason})");
-    }
 }
 
 #[test]

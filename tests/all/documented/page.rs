@@ -7,6 +7,8 @@ pub struct Block {
     pub line: usize,
     /// The words after the fence: the language and its argument.
     pub words: Vec<String>,
+    /// Why its commands do not run in tests, `skip="REASON"` at the end of the fence.
+    pub skip: Option<String>,
     /// Its content, without the indentation of the fence.
     pub text: String,
 }
@@ -21,8 +23,12 @@ pub fn blocks(page: &str) -> Vec<Block> {
         let inside = lines.by_ref().map(|(_, line)| line);
         let inside = inside.take_while(|line| line.trim() != "```");
         let text = inside.map(|line| format!("{}\n", line.get(indent..).unwrap_or(""))).collect();
+        let (info, skip) = match info.split_once(" skip=\"") {
+            Some((info, reason)) => (info, reason.strip_suffix('"').map(str::to_owned)),
+            None => (info, None),
+        };
         let words = info.split_whitespace().map(str::to_owned).collect();
-        blocks.push(Block { line: number + 1, words, text });
+        blocks.push(Block { line: number + 1, words, skip, text });
     }
     blocks
 }
@@ -42,10 +48,11 @@ fn squeezed(line: &str) -> String {
 
 #[test]
 fn blocks_and_commands_are_found() {
-    let page = "a\n```toml pool.toml\nx = 1\n```\n1. b\n   ```sh\n   # first\n   one \\\n     two   # why\n   three\n   ```\n";
+    let page = "a\n```toml pool.toml\nx = 1\n```\n1. b\n   ```sh skip=\"c d\"\n   # first\n   one \\\n     two   # why\n   three\n   ```\n";
     let found = blocks(page);
     let words: Vec<_> = found.iter().map(|block| block.words.join(" ")).collect();
     assert_eq!(words, ["toml pool.toml", "sh"]);
     assert_eq!((found[0].line, found[0].text.as_str()), (2, "x = 1\n"));
     assert_eq!(commands(&found[1].text), ["one two", "three"]);
+    assert_eq!((&found[0].skip, found[1].skip.as_deref()), (&None, Some("c d")));
 }

@@ -12,10 +12,7 @@ use std::{
 
 use tempfile::TempDir;
 
-use super::{
-    follow::root,
-    tables::{CHEAPER, NOT_HERE},
-};
+use super::{follow::root, tables::CHEAPER};
 use crate::{
     programs,
     support::{domain, free_port, unique},
@@ -141,7 +138,7 @@ impl World {
     /// Runs commands one after the other; endless ones are interrupted.
     pub fn one_after_another(&mut self, place: &str, lines: &[String]) {
         for line in lines {
-            let Some(mut running) = self.start(place, line) else { continue };
+            let mut running = self.start(place, line);
             if endless(line) {
                 wait(place, "prints something", &mut running, |running| !running.said().is_empty());
                 running.interrupt();
@@ -152,8 +149,7 @@ impl World {
 
     /// Runs commands in parallel until the last one has ended, then interrupts the others.
     pub fn together(&mut self, place: &str, lines: &[String]) {
-        let started = lines.iter().filter_map(|line| self.start(place, line));
-        let mut running: Vec<_> = started.collect();
+        let mut running: Vec<_> = lines.iter().map(|line| self.start(place, line)).collect();
         let Some(mut last) = running.pop() else { return };
         if endless(&last.line) {
             wait(place, "has begun", &mut last, |last| last.has_begun());
@@ -171,16 +167,13 @@ impl World {
         }
     }
 
-    /// Starts a command, unless [`NOT_HERE`] lists it.
-    fn start(&mut self, place: &str, line: &str) -> Option<Running> {
-        if NOT_HERE.iter().any(|(command, _)| *command == line) {
-            return None;
-        }
+    /// Starts a command.
+    fn start(&mut self, place: &str, line: &str) -> Running {
         let cheap = self.cheaper(line);
         let program = cheap.split(' ').find(|word| !word.contains('=')).unwrap_or_default();
         assert!(
             self.at(".bin").join(program).exists() || SHELL.contains(&program),
-            "{place}: `{line}`: found {program}, expected a program of this package, one of {SHELL:?}, or an entry of NOT_HERE"
+            "{place}: `{line}`: found {program}, expected a program of this package, one of {SHELL:?}, or a block with skip=\"REASON\""
         );
         self.started += 1;
         let output = self.at(&format!(".output{}", self.started));
@@ -191,7 +184,7 @@ impl World {
         bash.env("PATH", format!("{}:{path}", self.at(".bin").display()));
         bash.env("HOME", self.folder.path()).env("ROS_DOMAIN_ID", self.domain.to_string());
         bash.stdin(Stdio::null()).stdout(file.try_clone().unwrap()).stderr(file);
-        Some(Running { line: cheap, child: bash.spawn().unwrap(), output })
+        Running { line: cheap, child: bash.spawn().unwrap(), output }
     }
 
     fn cheaper(&self, line: &str) -> String {
