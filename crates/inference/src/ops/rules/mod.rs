@@ -6,8 +6,9 @@
 //! checkpoint; a rule without constants is off.
 //!
 //! A rule is a folder: `mod.rs` has its constants, which implement [`RuleOperation`], its steps on processors and its launches
-//! on GPUs; `device.cu` its kernels (that of [`elastic`] is in `eddy-cuda`, beside the tables that it reads); tests compare both. [`Rules`] and [`rules!`] list the rules in the order in which they run; command
-//! line, checkpoints, engine and GPUs follow. [`bodies`]: what the rules for connected groups of particles share.
+//! on GPUs; `device.cu` its kernels (that of [`elastic`] is in `eddy-cuda`, beside the tables that it reads); tests compare both.
+//! [`Rules`] and `rules!` list the rules in the order in which they run; command line, checkpoints, engine and GPUs follow.
+//! [`bodies`]: what the rules for connected groups of particles share.
 //!
 //! The particle model runs the stages of the rules after its own, on all threads; [`Corrector`] runs them after any other
 //! predictor. On GPUs the particle model runs the launches of [`Rules::launches`].

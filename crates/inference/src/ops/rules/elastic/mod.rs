@@ -1,4 +1,4 @@
-//! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`](crate::kernels::lattice)), whatever
+//! A body of jelly that nothing else is close to moves by its elasticity, gravity and the walls ([`lattice`]), whatever
 //! was predicted: its positions and velocities tell that motion far better than a network learns it. A lattice whose nodes did not come where it
 //! expected them leaves its body as predicted. Later rules apply to the result. Walls have turned its velocity within the frame; it is not
 //! stopped there as in a ballistic step.
