@@ -52,7 +52,7 @@ pub(crate) fn apply<S: Simd>(
     }
 }
 
-/// Blocks of R rows, then of Q rows for the rest.
+/// Pairs of panels, then the last one of an odd number; panels whose weights are all zero give their biases.
 #[inline(always)]
 fn apply_rows<S: Simd, const R: usize, const Q: usize>(
     simd: S,
@@ -70,44 +70,33 @@ fn apply_rows<S: Simd, const R: usize, const Q: usize>(
         );
     }
     let mut panel = 0;
-    while panel < computed {
-        let two = panel + 1 < computed;
-        let mut first = 0;
-        while first < count {
-            let many = count - first >= R;
-            match (two, many) {
-                (true, true) => {
-                    apply_block::<S, 2, R>(
-                        simd,
-                        linear,
-                        [panel, panel + 1],
-                        first,
-                        count,
-                        source,
-                        sink,
-                    );
-                }
-                (true, false) => {
-                    apply_block::<S, 2, Q>(
-                        simd,
-                        linear,
-                        [panel, panel + 1],
-                        first,
-                        count,
-                        source,
-                        sink,
-                    );
-                }
-                (false, true) => {
-                    apply_block::<S, 1, R>(simd, linear, [panel], first, count, source, sink)
-                }
-                (false, false) => {
-                    apply_block::<S, 1, Q>(simd, linear, [panel], first, count, source, sink)
-                }
-            }
-            first += if many { R } else { Q };
-        }
-        panel += if two { 2 } else { 1 };
+    while panel + 1 < computed {
+        apply_panels::<S, 2, R, Q>(simd, linear, [panel, panel + 1], count, source, sink);
+        panel += 2;
+    }
+    if panel < computed {
+        apply_panels::<S, 1, R, Q>(simd, linear, [panel], count, source, sink);
+    }
+}
+
+/// G panels for all rows: blocks of R rows, then of Q rows for the rest.
+#[inline(always)]
+fn apply_panels<S: Simd, const G: usize, const R: usize, const Q: usize>(
+    simd: S,
+    linear: &Linear,
+    panels: [usize; G],
+    count: usize,
+    source: &impl Source,
+    sink: &mut impl Sink,
+) {
+    let mut first = 0;
+    while count - first >= R {
+        apply_block::<S, G, R>(simd, linear, panels, first, count, source, sink);
+        first += R;
+    }
+    while first < count {
+        apply_block::<S, G, Q>(simd, linear, panels, first, count, source, sink);
+        first += Q;
     }
 }
 
