@@ -25,10 +25,11 @@ const OF_THE_HOST: [(&str, &str); 5] = [
 
 #[expect(
     clippy::disallowed_methods,
-    reason = "cargo says where to write by an environment variable"
+    reason = "cargo says where to read and write by environment variables"
 )]
 fn main() -> Result<(), Box<dyn Error>> {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("src");
+    // Not `env!`: checkouts that share a target folder share this program.
+    let root = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join("src");
     println!("cargo::rerun-if-changed=src");
     let mut files = Vec::new();
     collect(&root, &root, &mut files)?;
