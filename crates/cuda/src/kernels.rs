@@ -8,7 +8,7 @@ use eddy_inference::{
     ops::{
         cell,
         decoder::{self, Decoded},
-        linear,
+        features, linear, node_inputs,
     },
 };
 
@@ -53,6 +53,8 @@ pub(crate) const PARTICLE_SOURCE: &[&str] = &[
     include_str!("particle/nodes.cu"),
     linear::DEVICE,
     decoder::DEVICE,
+    features::DEVICE,
+    node_inputs::DEVICE,
     include_str!("particle/layers.cu"),
 ];
 

@@ -86,7 +86,7 @@ mod tests {
 
     use super::*;
     use eddy_inference::checkpoint::{
-        Architecture, Core, MaterialInput, Pooling, Sizes, initial_weights, layout::linear_layers,
+        Architecture, Core, MaterialInput, Pooling, Sizes, initial_weights, plan::Plan,
     };
 
     proptest! {
@@ -118,7 +118,7 @@ mod tests {
             let mut without_ones = packed.clone();
             without_ones[layout.ones] = 0.0;
             prop_assert_eq!(again, without_ones);
-            for (layer, pair) in linear_layers(&description).iter().zip(ordered.chunks(2)) {
+            for (layer, pair) in Plan::new(&description).layers.iter().zip(ordered.chunks(2)) {
                 let (weight, bias) = (&weights[&layer.weight].values, &weights[&layer.bias].values);
                 prop_assert_eq!(&pair[1], bias);
                 let (first, last) = (weight[0], weight[weight.len() - 1]);

@@ -23,7 +23,7 @@ use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
 use eddy_frames::Domain;
 use eddy_inference::{
-    checkpoint::{Description, Weights},
+    checkpoint::{Description, Weights, plan::Stage},
     engine::{Ballistic, StreamStart, scales},
     kernels::nodes::MAX_LEVELS,
     ops::rules::{DEVICE_CONSTANTS, Most, Network},
@@ -307,20 +307,31 @@ impl Inference {
         self.launch(scan, ParticleScan { streams })?;
         self.launch(by_particle, ParticleScatter { streams })?;
         self.launch(by_particle, ParticleRank { streams })?;
-        let [first, second] = self.layout.encoder.map(weights);
-        let encode = by_tile(self.constants.encode_bytes());
-        self.launch(encode, ParticleEncode { streams, first, second })?;
-        let by_node = Shape::new(blocks(nodes[0], 2), number, 96);
-        self.launch(by_node, ParticleToNodes { streams })?;
-        for &NodeLayer { layer, first, parts, shared, level } in &self.layout.grid {
-            let by_node = Shape::new(blocks(nodes[level], node_tile), number, NODE_THREADS);
-            self.launch(
-                Shape { shared, ..by_node },
-                ParticleGridLayer { streams, w: weights(first), layer, parts: count(parts) },
-            )?;
+        for stage in &self.constants.stages {
+            match *stage {
+                Stage::Encode => {
+                    let [first, second] = self.layout.encoder.map(weights);
+                    let encode = by_tile(self.constants.encode_bytes());
+                    self.launch(encode, ParticleEncode { streams, first, second })?;
+                }
+                Stage::ToNodes => {
+                    let by_node = Shape::new(blocks(nodes[0], 2), number, 96);
+                    self.launch(by_node, ParticleToNodes { streams })?;
+                }
+                Stage::Convolution(layer) => {
+                    let NodeLayer { layer, first, parts, shared, level } = self.layout.grid[layer];
+                    let by_node = Shape::new(blocks(nodes[level], node_tile), number, NODE_THREADS);
+                    let (w, parts) = (weights(first), count(parts));
+                    let kernel = ParticleGridLayer { streams, w, layer, parts };
+                    self.launch(Shape { shared, ..by_node }, kernel)?;
+                }
+                Stage::Decode => {
+                    let decode = by_tile(self.constants.decode_bytes());
+                    let w = weights(self.layout.context);
+                    self.launch(decode, ParticleDecode { streams, w })?;
+                }
+            }
         }
-        let decode = by_tile(self.constants.decode_bytes());
-        self.launch(decode, ParticleDecode { streams, w: weights(self.layout.context) })?;
         self.launch_rules(extent, &blocks)?;
         self.launch(by_particle, ParticleStore { streams })
     }

@@ -10,54 +10,6 @@
 #define ODD4(w) ((w) / 4 % 2 ? (w) : (w) + 4)
 #define CONCAT (F4 + C04)
 #define WIDEST(a, b) ((a) > (b) ? (a) : (b))
-__device__ __forceinline__ float exponential(float x) { return exp2_approximate(LOG2E * x); }
-
-// Scales of wall proximity, `engine/scales.rs`; of strain and bend, `kernels/rest_shape.rs` of eddy-inference.
-#define CONTACT_SCALE 0.03f
-#define BODY_SCALE 0.2f
-#define STRAIN_SCALE 10.0f
-#define BEND_SCALE 60.0f
-#define SHAPE_LIMIT 4.0f
-#define SHAPE_FEATURES 5
-
-// Deformation gradient and bend of a particle with these links (`deformation`).
-struct Deformation { float f[2][2], bend[2]; };
-__device__ __forceinline__ Deformation deformation(const Link* links, u32 begin, u32 end, const Body* bodies, const Body& body) {
-  Deformation d = {{{0.0f, 0.0f}, {0.0f, 0.0f}}, {0.0f, 0.0f}};
-#pragma unroll 4
-  for (u32 i = begin; i < end; i++) {
-    const Link link = links[i];
-    const Body other = bodies[link.particle];
-#pragma unroll
-    for (int a = 0; a < 2; a++) {
-      const float apart = other.x[a] - body.x[a];
-      d.f[a][0] = fmaf(apart, link.coefficient[0], d.f[a][0]);
-      d.f[a][1] = fmaf(apart, link.coefficient[1], d.f[a][1]);
-      d.bend[a] = fmaf(apart, link.share, d.bend[a]);
-    }
-  }
-  return d;
-}
-// Strain and bend before they are limited.
-__device__ __forceinline__ void scaled_shape(const Deformation& d, float* shape) {
-  shape[0] = STRAIN_SCALE * (d.f[0][0] * d.f[0][0] + d.f[0][1] * d.f[0][1] - 1.0f);
-  shape[1] = STRAIN_SCALE * (d.f[1][0] * d.f[1][0] + d.f[1][1] * d.f[1][1] - 1.0f);
-  shape[2] = STRAIN_SCALE * (d.f[0][0] * d.f[1][0] + d.f[0][1] * d.f[1][1]);
-  shape[3] = BEND_SCALE * d.bend[0];
-  shape[4] = BEND_SCALE * d.bend[1];
-}
-// Strain and bend of a particle (`RestShape::shape_of`); `first` is nowhere if no particle has links.
-__device__ __forceinline__ void rest_shape(const u32* first, const Link* links, const Body* bodies, u32 p, const Body& body, float* shape) {
-  for (int i = 0; i < SHAPE_FEATURES; i++) shape[i] = 0.0f;
-  if (!first) return;
-  const u32 begin = first[p], end = first[p + 1];
-  if (begin == end) return;
-  scaled_shape(deformation(links, begin, end, bodies, body), shape);
-  for (int i = 0; i < SHAPE_FEATURES; i++) {
-    const float raised = shape[i] < -SHAPE_LIMIT ? -SHAPE_LIMIT : shape[i];
-    shape[i] = raised > SHAPE_LIMIT ? SHAPE_LIMIT : raised;
-  }
-}
 
 // Features and encoder. grid (ceil(n / TILE), B), block THREADS, shared memory: TILE rows of features, of the hidden layer, and
 // of outputs
@@ -75,25 +27,15 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stre
       if (row >= count) continue;
       const u32 p = s.order[begin + row];
       const Body body = s.bodies[p];
+      float expected[2];
 #pragma unroll
       for (int a = 0; a < 2; a++) {
-        const float before = s.begun ? s.expected[2 * p + a] : body.v[a];
-        const Fall fall = ballistic(s, body, a);
-        s.expected[2 * p + a] = fall.v;
-        own[a] = body.v[a] / s.unit;
-        own[2 + a] = (body.v[a] - before) / s.unit;
-        own[4 + a] = (fall.v - fall.free) / s.unit;
-        const float sides[2] = {body.x[a] - s.wall_lower[a], s.wall_upper[a] - body.x[a]};
-#pragma unroll
-        for (int side = 0; side < 2; side++) {
-          const float distance = sides[side] > 0.0f ? sides[side] : 0.0f;
-          own[6 + 2 * side + a] = exponential(distance * (-1.0f / CONTACT_SCALE));
-          own[10 + 2 * side + a] = exponential(distance * (-1.0f / BODY_SCALE));
-        }
+        expected[a] = s.begun ? s.expected[2 * p + a] : body.v[a];
+        s.expected[2 * p + a] = ballistic(s, body, a).v;
       }
-      rest_shape(s.first, s.links, s.bodies, p, body, own + 14);
-      own[14 + SHAPE_FEATURES + s.material[p]] = 1.0f;
-      if (F > 14 + SHAPE_FEATURES + MATERIALS) own[14 + SHAPE_FEATURES + MATERIALS] = s.stiffness;
+      motion_features(s, body, expected, own);
+      rest_shape(s.first, s.links, s.bodies, p, body, own + SHAPE_FROM);
+      matter_features(s.material[p], s.stiffness, own);
     }
     __syncthreads();
     for (int i = threadIdx.x; i < count * (F4 / 4); i += THREADS)
@@ -109,8 +51,6 @@ extern "C" __global__ void __launch_bounds__(THREADS) particle_encode(const Stre
 
 // Sums over the particles around each node, in the order of their slots: means, mass, proximity to walls. A block has a node,
 // each of its three warps the cells of one row of nodes. grid (.., B), block 96
-#define MIN_MASS 1e-3f
-#define FULL_MASS 16.0f
 extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream* __restrict__ streams) {
   __shared__ float sums[3][32];
   const Stream& s = streams[blockIdx.y];
@@ -119,7 +59,7 @@ extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream*
   for (u32 node = blockIdx.x; node < total; node += gridDim.x) {
     const u32 entry = s.lists[0][node];
     const int column = (int)(entry % across), row = (int)(entry / across);
-    const float at[2] = {(float)(column - ORIGIN), (float)(row - ORIGIN)};
+    const int at[2] = {column - ORIGIN, row - ORIGIN};
     // This is the node (i, warp) of the stencil of the cell (column - i, row - warp).
     const u32 last = entry - warp * across;
     float mass = 0.0f;
@@ -161,12 +101,7 @@ extern "C" __global__ void __launch_bounds__(96) particle_to_nodes(const Stream*
     if (threadIdx.x < INPUT4 - C0) {
       const int k = threadIdx.x;
       float value = k == 0 ? mass / FULL_MASS : 0.0f;
-      if (k > 0 && k < NODE_FEATURES) {
-        const int a = (k - 1) & 1;
-        const float place = s.lower[a] + multiply_rounded(at[a], s.width);
-        const float distance = k < 3 ? place - s.wall_lower[a] : s.wall_upper[a] - place;
-        value = exponential(-fmaxf(distance, 0.0f) / s.width);
-      }
+      if (k > 0 && k < NODE_FEATURES) value = node_proximity(s, at[(k - 1) & 1], (k - 1) & 1, k < 3 ? 0 : 1);
       to[C0 + k] = value;
     }
   }

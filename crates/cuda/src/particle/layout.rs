@@ -17,6 +17,7 @@ use eddy_inference::{
         Activation, Core, Description, Form, Rules, Weights,
         grid::{GridLayer, MAX_LISTS, grid_layers, grid_lists},
         layout::{self, particle_features},
+        plan::{Plan, Stage},
     },
     kernels::nodes::{MAX_LEVELS, origin},
     ops::rules::Network,
@@ -55,6 +56,8 @@ pub struct Constants {
     pub channels: Vec<usize>,
     /// The layers on the grid.
     pub(super) grid: Vec<GridLayer>,
+    /// What is launched in a frame, in order. Each is a fused form of the plan's operations: a tile stays in shared memory.
+    pub(super) stages: Vec<Stage>,
     /// Level and padded width of the lists of features at nodes.
     pub(super) lists: Vec<(usize, usize)>,
     /// The recurrent core.
@@ -107,6 +110,7 @@ impl Constants {
             layers: sizes.layers,
             channels: grid.channels.clone(),
             grid: grid_layers(grid),
+            stages: Plan::new(description).stages(),
             lists: grid_lists(grid)
                 .into_iter()
                 .map(|(level, width)| (level, four(width)))

@@ -13,7 +13,6 @@
 #define MISSING 0xffffffffu
 #define THREADS 128 // of a block that has a tile of particles
 #define ROWS 4      // that a thread multiplies
-#define NODE_FEATURES 5 // mass, and proximity to four walls
 
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {

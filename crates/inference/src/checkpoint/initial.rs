@@ -5,7 +5,10 @@ use std::collections::BTreeMap;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Architecture, Description, Weights, layout};
+use super::{
+    Architecture, Description, Weights,
+    plan::{LinearLayer, Plan},
+};
 
 /// Initial weights: uniform in +-sqrt(gain / in). Biases are zero, except that gates of minimal cores start open
 /// (sigmoid(1) = 0.73 of the candidate enters per frame). The decoder is zero, so that an untrained network adds nothing to
@@ -18,8 +21,8 @@ pub fn initial_weights(description: &Description, seed: u64) -> BTreeMap<String,
         Architecture::Particle => 3.0,
     };
     let mut tensors = BTreeMap::new();
-    for layer in layout::linear_layers(description) {
-        let layout::LinearLayer { weight, bias, input, output, sharing } = layer;
+    for layer in Plan::new(description).layers {
+        let LinearLayer { weight, bias, input, output, sharing } = layer;
         let bound = if weight.starts_with("decoder") { 0.0 } else { (gain / input as f32).sqrt() };
         let opens = bias.ends_with(".gate.bias") || bias.ends_with(".input_gate.bias");
         let values = (0..output * input).map(|_| bound * (2.0 * random.random::<f32>() - 1.0));

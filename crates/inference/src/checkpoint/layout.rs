@@ -33,8 +33,8 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{
-    Architecture, CheckpointError, Description, MaterialInput, Pooling, Weights,
-    grid::{GridLayer, grid_layers},
+    CheckpointError, Description, MaterialInput, Weights,
+    plan::{LinearLayer, Plan},
 };
 use eddy_frames::Material;
 
@@ -46,7 +46,7 @@ pub fn frame_features(material: MaterialInput) -> usize {
     }
 }
 
-/// Number of input features of the particle model, listed in `model/features.rs` of `eddy-learning`; the stiffness of the stream,
+/// Number of input features of the particle model, which [`features`](crate::ops::features) lists; the stiffness of the stream,
 /// if the network is conditioned on it, is the last.
 pub fn particle_features(stiffness: bool) -> usize {
     19 + Material::COUNT + usize::from(stiffness)
@@ -54,21 +54,6 @@ pub fn particle_features(stiffness: bool) -> usize {
 
 /// Inputs of a node beside the channels: its mass, and its proximity to each wall.
 pub const NODE_FEATURES: usize = 5;
-
-/// Tensor names and sizes of a linear layer.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LinearLayer {
-    /// Name of the matrix, `[output, input]`.
-    pub weight: String,
-    /// Name of the bias, `[output]`.
-    pub bias: String,
-    /// Columns of the matrix.
-    pub input: usize,
-    /// Rows of the matrix.
-    pub output: usize,
-    /// Number of outputs that share an element of the bias.
-    pub sharing: usize,
-}
 
 /// Names of weight and bias of a layer outside the core.
 pub fn names(layer: &str) -> [String; 2] {
@@ -80,61 +65,14 @@ pub fn is_hidden(weight: &str) -> bool {
     !["encoder.0.weight", "decoder.weight"].contains(&weight)
 }
 
-/// The linear layers of a network, from input to output.
-pub fn linear_layers(description: &Description) -> Vec<LinearLayer> {
-    let Description { architecture, core, stiffness, sizes, frame, grid, .. } = description;
-    let hidden = sizes.hidden;
-    let (features, outputs) = match architecture {
-        Architecture::Frame => (frame_features(frame.material), 2 * sizes.particles.unwrap_or(0)),
-        Architecture::Particle => (particle_features(*stiffness), 4),
-    };
-    let encoded = grid.as_ref().map_or(hidden, |grid| grid.channels[0]);
-    let pooled = match frame.pooling {
-        Pooling::Mean | Pooling::Max => hidden,
-        Pooling::MeanMax => 2 * hidden,
-    };
-    let linear = |[weight, bias]: [String; 2], input, output| LinearLayer {
-        weight,
-        bias,
-        input,
-        output,
-        sharing: 1,
-    };
-    let mut layers = vec![
-        linear(names("encoder.0"), features, sizes.encoder),
-        linear(names("encoder.1"), sizes.encoder, encoded),
-    ];
-    for GridLayer { name, stencil, channels: [input, output], .. } in
-        grid.iter().flat_map(grid_layers)
-    {
-        let sharing = stencil.children();
-        let layer = linear(names(&name), stencil.places() * input, sharing * output);
-        layers.push(LinearLayer { sharing, ..layer });
-    }
-    if grid.is_some() {
-        layers.push(linear(names("context"), features + encoded, hidden));
-    }
-    for layer in 0..sizes.layers {
-        let input = if layer == 0 { pooled } else { hidden };
-        for &(part, gates) in core.input_parts() {
-            layers.push(linear(core.tensors(layer, part), input, gates * hidden));
-        }
-        if let Some(part) = core.recurrent_part() {
-            layers.push(linear(core.tensors(layer, part), hidden, core.gates() * hidden));
-        }
-    }
-    layers.push(linear(names("mixer"), hidden, hidden));
-    layers.push(linear(names("decoder"), hidden, outputs));
-    layers
-}
-
 /// Name and shape of every tensor of the network, with the stiffnesses first if it has weights for several.
 pub fn tensor_shapes(description: &Description) -> BTreeMap<String, Vec<usize>> {
     let knots = description.stiffness_knots.len();
     let shape = |axes: &[usize]| {
         (knots > 0).then_some(knots).into_iter().chain(axes.iter().copied()).collect()
     };
-    linear_layers(description)
+    Plan::new(description)
+        .layers
         .into_iter()
         .flat_map(|LinearLayer { weight, bias, input, output, sharing }| {
             [(weight, shape(&[output, input])), (bias, shape(&[output / sharing]))]

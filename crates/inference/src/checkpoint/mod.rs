@@ -6,9 +6,10 @@
 //!    that correct its predictions (`rules`).
 //! 2. `model.safetensors`, the weights: f32, or f16 if the description says so, in PyTorch's layout `[out, in]` (`[stiffnesses, out,
 //!    in]` if there are some for several stiffnesses), with the names
-//!    and shapes that [`layout`] derives from the description; [`grid`] states the order of the particle model's layers on its grid.
+//!    and shapes that [`layout`] derives from the description.
 //! 3. `error_model.toml`, the [`ErrorModel`]. It changes no prediction and is not covered by the digest.
 //!
+//! [`plan`] lists what the described network computes, in order; [`grid`] has the particle model's layers on its grid.
 //! `knots` interpolates weights for several stiffnesses. `initial` draws the weights of an untrained network. `files` replaces both
 //! files so that a crash between any two system calls leaves a complete checkpoint, the old one or the new one.
 
@@ -21,6 +22,7 @@ mod initial;
 mod knots;
 pub mod layout;
 mod network;
+pub mod plan;
 mod rules;
 
 pub(crate) use description::field;

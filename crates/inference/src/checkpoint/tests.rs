@@ -186,7 +186,7 @@ fn all_weights_but_the_first_and_the_last_are_hidden() {
         for core in Core::ALL {
             let sizes = Sizes { encoder: 2, hidden: 2, layers: 2, particles };
             let description = Description::untrained(architecture, core, sizes);
-            let layers = layout::linear_layers(&description);
+            let layers = plan::Plan::new(&description).layers;
             let hidden: Vec<_> =
                 layers.iter().map(|layer| layout::is_hidden(&layer.weight)).collect();
             let [first, inner @ .., last] = hidden.as_slice() else { panic!("{hidden:?}") };

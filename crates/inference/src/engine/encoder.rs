@@ -7,17 +7,15 @@ use std::collections::BTreeMap;
 
 use pulp::Simd;
 
-use crate::ops::linear::packed::{Aligned, Linear, add_products, outputs};
 use crate::{
-    checkpoint::{
-        Activation, Description, FeatureScaling, MaterialInput, Normalization, Weights, layout,
-    },
+    checkpoint::{Activation, Description, MaterialInput, Weights, layout},
     kernels::activation::Activate,
+    ops::{
+        features::{FrameFeatures, STATE},
+        linear::packed::{Aligned, Linear, add_products, outputs},
+    },
 };
 use eddy_frames::{Material, Particles};
-
-/// Features that change from frame to frame: x, y, vx, vy.
-const STATE: usize = 4;
 
 /// Independent partial sums: point n is added to sum n mod 4.
 const PARTIAL_SUMS: usize = 4;
@@ -31,10 +29,7 @@ pub(super) struct Encoder {
     lanes: usize,
     width: usize,
     activation: Activation,
-    /// Subtracted from x, y, vx, vy.
-    origin: [f32; STATE],
-    /// Divisor of the difference.
-    range: [f32; STATE],
+    features: FrameFeatures,
     /// Weights of x, y, vx, vy, `[panel, feature, lane]`.
     weight: Aligned,
     /// Bias plus the material's contribution, `[material, panel, lane]`.
@@ -48,8 +43,7 @@ impl Encoder {
         description: &Description,
         tensors: &BTreeMap<String, Weights>,
     ) -> Self {
-        let Description { sizes, frame, normalization, .. } = description;
-        let (origin, range) = scale(normalization, frame.scaling);
+        let Description { sizes, frame, .. } = description;
         let [weights, biases] = layout::names("encoder.0").map(|name| &tensors[&name].values);
         let features = layout::frame_features(frame.material);
         let panels = sizes.encoder.div_ceil(lanes);
@@ -64,16 +58,15 @@ impl Encoder {
                 let number = material as u8;
                 let part = match frame.material {
                     MaterialInput::OneHot => row[STATE + usize::from(number)],
-                    MaterialInput::Scalar => {
-                        row[STATE] * (f32::from(number) / (Material::COUNT - 1) as f32)
-                    }
+                    MaterialInput::Scalar => row[STATE] * FrameFeatures::number(number),
                 };
                 let at = (usize::from(number) * panels + panel) * lanes + lane;
                 base.get_mut()[at] = biases[unit] + part;
             }
         }
         let (activation, width) = (frame.activation, sizes.encoder);
-        Self { lanes, width, activation, origin, range, weight, base }
+        let features = FrameFeatures::new(description);
+        Self { lanes, width, activation, features, weight, base }
     }
 
     /// Number of panels.
@@ -90,10 +83,7 @@ impl Encoder {
     pub(super) fn scale(&self, particles: Particles<'_>, features: &mut [[f32; STATE]]) {
         for (particle, scaled) in features.iter_mut().enumerate() {
             let (position, velocity) = particles.motion(particle);
-            let state = [position[0], position[1], velocity[0], velocity[1]];
-            for feature in 0..STATE {
-                scaled[feature] = (state[feature] - self.origin[feature]) / self.range[feature];
-            }
+            *scaled = self.features.state(position, velocity);
         }
     }
 
@@ -230,16 +220,5 @@ impl<'a, S: Simd> Panel<'a, S> {
             sum = simd.mul_add_e_f32s(*weight, simd.splat_f32s(*number), sum);
         }
         self.activation.value(simd, sum)
-    }
-}
-
-/// Origin and range of the features x, y, vx, vy.
-fn scale(statistics: &Normalization, scaling: FeatureScaling) -> ([f32; STATE], [f32; STATE]) {
-    match scaling {
-        FeatureScaling::MinMax => {
-            let Normalization { minimum, maximum, .. } = statistics;
-            (*minimum, std::array::from_fn(|f| maximum[f] - minimum[f]))
-        }
-        FeatureScaling::ZScore => (statistics.mean, statistics.standard_deviation),
     }
 }

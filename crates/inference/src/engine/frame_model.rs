@@ -1,10 +1,10 @@
-//! The frame model, one frame of a stream at a time (`model/frame_model.rs` of `eddy-learning` for training).
+//! The frame model, one frame of a stream at a time.
 //!
 //! Reading the weights once takes nearly all of the time. An item of a stage is a panel of its outputs, or a block of
 //! particles where the maximum is pooled.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
-use std::{collections::BTreeMap, ops::Range};
+use std::{cmp::Ordering, collections::BTreeMap, ops::Range};
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -14,7 +14,10 @@ use super::{
     hidden_state::FrameMemory,
 };
 use crate::{
-    checkpoint::{Activation, Description, Pooling, Weights},
+    checkpoint::{
+        Activation, Description, Pooling, Weights,
+        plan::{Kind, Operation, Plan, Rows},
+    },
     kernels::{activation::Activate, vectors::Lanes},
     ops::{
         decoder::Decoded,
@@ -100,27 +103,17 @@ impl FrameModel {
         let lanes = arch.dispatch(Lanes);
         let linear = |layer| Linear::named(lanes, tensors, layer);
         let decoder = linear("decoder");
-        let layers = description.sizes.layers;
-        let mut stages = match description.frame.pooling {
-            Pooling::Mean => vec![Stage::PoolMean, Stage::Encode],
-            Pooling::Max => vec![Stage::PoolMax, Stage::JoinMax],
-            Pooling::MeanMax => {
-                vec![Stage::PoolMean, Stage::Encode, Stage::PoolMax, Stage::JoinMax]
-            }
-        };
-        stages.extend((0..layers).map(Stage::Core));
-        stages.extend([Stage::Mix, Stage::Decode]);
         Self {
             arch,
             encoder: Encoder::pack(lanes, description, tensors),
             second: linear("encoder.1"),
-            core: (0..layers)
+            core: (0..description.sizes.layers)
                 .map(|layer| CoreLayer::pack(lanes, description, tensors, layer))
                 .collect(),
             mixer: linear("mixer"),
             activation: description.frame.activation,
             pooling: description.frame.pooling,
-            stages,
+            stages: stages(&Plan::new(description)),
             particles: decoder.output() / 2,
             decoder,
             hidden: description.sizes.hidden,
@@ -218,6 +211,25 @@ impl FrameModel {
     fn state(&self, layer: usize) -> Range<usize> {
         layer * self.hidden..(layer + 1) * self.hidden
     }
+}
+
+/// The stages of the plan's operations. A pooling by the maximum has the linear layers before it, a core's layer has its own.
+fn stages(plan: &Plan) -> Vec<Stage> {
+    let stage = |(number, operation): (usize, &Operation)| match operation.kind {
+        Kind::MeanOfLinear { .. } => vec![Stage::PoolMean],
+        Kind::Max => vec![Stage::PoolMax, Stage::JoinMax],
+        Kind::Cell { number, .. } => vec![Stage::Core(number)],
+        Kind::Linear { .. } if plan.lists[operation.writes].rows == Rows::Frames => {
+            match number.cmp(&plan.core.end) {
+                Ordering::Less if plan.core.contains(&number) => vec![],
+                Ordering::Less => vec![Stage::Encode],
+                Ordering::Equal => vec![Stage::Mix],
+                Ordering::Greater => vec![Stage::Decode],
+            }
+        }
+        _ => vec![],
+    };
+    plan.operations.iter().enumerate().flat_map(stage).collect()
 }
 
 /// One frame in progress. Each array is written panel by panel in one stage and read in later ones.

@@ -1,4 +1,4 @@
-//! The sparse grid that connects a particle with its surroundings (`model/grid.rs` of `eddy-learning` for training).
+//! The sparse grid that connects a particle with its surroundings.
 //!
 //! Each layer is a stage whose items are blocks of nodes. It reads one list of features and writes another.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
@@ -117,12 +117,6 @@ impl Grid {
             encoded: inputs - MERGED_NODE_FEATURES,
         }
     }
-
-    /// Number of layers.
-    pub(super) fn len(&self) -> usize {
-        self.layers.len()
-    }
-
     /// Length of the rows of a list.
     fn stride(&self, list: usize) -> usize {
         self.lists[list].1

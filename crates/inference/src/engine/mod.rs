@@ -7,8 +7,8 @@
 //! 4. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
 //! 5. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
 //!    (Table 1), whose outputs [`Decoded`](crate::ops::decoder::Decoded) turns into states.
-//! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_features` and
-//!    `particle_blocks` process particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
+//! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_blocks`
+//!    processes particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
 //!    `merged` combines layers that have no activation between them.
 //! 7. The rules ([`ops::rules`](crate::ops::rules)) correct a prediction; [`Corrector`] applies them after any predictor.
 //! 8. [`fits()`]: which frames a network can predict. [`Warning`]: what a stream states compared with what a network was trained on.
@@ -34,7 +34,6 @@ mod hidden_state;
 mod merged;
 mod order;
 mod particle_blocks;
-mod particle_features;
 mod particle_model;
 pub mod scales;
 mod scatter;

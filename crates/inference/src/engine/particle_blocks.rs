@@ -5,14 +5,15 @@ use pulp::Simd;
 
 use super::{
     core::CoreLayer,
-    particle_features::{Motion, ballistic_motion},
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
 };
 use crate::{
     checkpoint::grid::READ,
     kernels::transfer::gather,
     ops::{
+        ballistic::Motion,
         decoder::ResidualStep,
+        features::ballistic_motion,
         linear::{
             packed::store,
             rows::{Columns, Output, Rows, Sum, apply},

@@ -1,4 +1,4 @@
-//! The particle model, one frame of a stream at a time (`model/particle_model.rs` of `eddy-learning` for training).
+//! The particle model, one frame of a stream at a time.
 //!
 //! Particles are processed cell by cell of the grid, in blocks small enough for the data between their layers to stay in
 //! the nearest caches. Once a frame's particles are in the order of the hidden state, the rest is one job of the thread
@@ -16,17 +16,24 @@ use super::{
     hidden_state::{ParticleMemory, StreamParticles, stride},
     merged::merged,
     order::reorder,
-    particle_features::{Features, Motion, ParticleInputs, STATE_COLUMNS},
     scatter::Segments,
 };
 use crate::{
-    checkpoint::{Description, Rules, Weights},
+    checkpoint::{
+        Description, Rules, Weights,
+        plan::{
+            self, Plan,
+            Stage::{Convolution, Decode, Encode, ToNodes},
+        },
+    },
     kernels::{
         nodes::{Nodes, Window},
         vectors::Lanes,
     },
     ops::{
+        ballistic::Motion,
         decoder::ResidualStep,
+        features::{Features, ParticleInputs, STATE_COLUMNS},
         linear::packed::{Linear, SplitLinear},
         rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
     },
@@ -116,7 +123,12 @@ impl ParticleModel {
             decoder: linear("decoder"),
             hidden: description.sizes.hidden,
             step: ResidualStep::new(description),
-            stages: stages(&grid, &rules),
+            stages: Plan::new(description)
+                .stages()
+                .into_iter()
+                .map(Stage::Network)
+                .chain(rules.stages().into_iter().map(Stage::Rule))
+                .collect(),
             grid,
             rules,
             spacing,
@@ -253,26 +265,13 @@ impl ParticleModel {
     }
 }
 
-/// A stage of a frame.
+/// A part of the job of a frame: after one, all threads wait for each other.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Stage {
-    /// Features, encoder, the blocks' sums on nodes; an item is a block of slots.
-    Encode,
-    /// Adds up the blocks' sums; an item is a row of nodes.
-    Write,
-    /// A layer on the nodes; an item is a block of nodes.
-    Layer(usize),
-    /// Gather, context, core, decoder; an item is a block of slots.
-    Decode,
-    /// A step of a rule.
+    /// Of the network. A fused form of the plan's operations: all those of a block stay in the nearest cache.
+    Network(plan::Stage),
+    /// Of the rules.
     Rule(rules::Stage),
-}
-
-/// The stages of a frame, in order: those of the network, then those of the rules.
-fn stages(grid: &Grid, rules: &Rules) -> Vec<Stage> {
-    let layers = (0..grid.len()).map(Stage::Layer);
-    let network = [Stage::Encode, Stage::Write].into_iter().chain(layers).chain([Stage::Decode]);
-    network.chain(rules.stages().into_iter().map(Stage::Rule)).collect()
 }
 
 /// One frame in progress.
@@ -304,9 +303,9 @@ impl StepContext<'_> {
     /// Number of items of a stage.
     fn items(&self, stage: Stage) -> usize {
         match stage {
-            Stage::Encode | Stage::Decode => self.nodes.order().len().div_ceil(BLOCK),
-            Stage::Write => self.nodes.rows().len(),
-            Stage::Layer(layer) => self.model.grid.items(layer, self.nodes),
+            Stage::Network(Encode | Decode) => self.nodes.order().len().div_ceil(BLOCK),
+            Stage::Network(ToNodes) => self.nodes.rows().len(),
+            Stage::Network(Convolution(layer)) => self.model.grid.items(layer, self.nodes),
             Stage::Rule(stage) => self.correction.items(stage),
         }
     }
@@ -326,15 +325,15 @@ impl WithSimd for Item<'_> {
         let Self { context, task: Task { stage, item, thread } } = self;
         let StepContext { model: ParticleModel { grid, stages, .. }, nodes, fields, .. } = context;
         match stages[stage] {
-            Stage::Encode => context.encode(simd, item, thread),
-            Stage::Decode => context.decode(simd, item, thread),
-            Stage::Write => {
+            Stage::Network(Encode) => context.encode(simd, item, thread),
+            Stage::Network(Decode) => context.decode(simd, item, thread),
+            Stage::Network(ToNodes) => {
                 // SAFETY: this stage only reads the segments' sums.
                 let sums = unsafe { context.sums.read(0..context.sums.len()) };
                 let row = &nodes.rows()[item];
                 grid.write(simd, nodes, row, (context.segments, sums), &context.walls, fields);
             }
-            Stage::Layer(layer) => grid.layer(simd, layer, item, nodes, fields),
+            Stage::Network(Convolution(layer)) => grid.layer(simd, layer, item, nodes, fields),
             Stage::Rule(stage) => context.correction.run(stage, item),
         }
     }

@@ -99,23 +99,36 @@ impl Activate for Activation {
     }
 }
 
-/// ReLU, in place.
-pub fn relu_in_place(values: &mut [f32]) {
-    Arch::new().dispatch(Rectify(values));
+/// Applies an activation function in place.
+pub fn activate(activation: Activation, values: &mut [f32]) {
+    Arch::new().dispatch(InPlace { activation, values });
 }
 
-/// The gradient before a layer's ReLU from the gradient after it: zero where the output is not positive. Unchanged if the
-/// layer is not `rectified`.
-pub fn relu_gradient<'a>(rectified: bool, output: &[f32], gradient: &'a [f32]) -> Cow<'a, [f32]> {
-    if !rectified {
-        return Cow::Borrowed(gradient);
+/// The gradient before an activation function, if there is one, from that after it and from the values after it.
+pub fn gradient_before<'a>(
+    activation: Option<Activation>,
+    output: &[f32],
+    gradient: &'a [f32],
+) -> Cow<'a, [f32]> {
+    match activation {
+        None => Cow::Borrowed(gradient),
+        Some(Activation::Relu) => {
+            Cow::Owned(Arch::new().dispatch(ReluGradient { output, gradient }))
+        }
+        Some(activation) => {
+            let mut slopes = gradient.to_vec();
+            Arch::new().dispatch(Slopes { activation, output, gradient: &mut slopes });
+            Cow::Owned(slopes)
+        }
     }
-    Cow::Owned(Arch::new().dispatch(ReluGradient { output, gradient }))
 }
 
-struct Rectify<'a>(&'a mut [f32]);
+struct InPlace<'a> {
+    activation: Activation,
+    values: &'a mut [f32],
+}
 
-impl WithSimd for Rectify<'_> {
+impl WithSimd for InPlace<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -123,9 +136,32 @@ impl WithSimd for Rectify<'_> {
         zip(
             simd,
             [],
-            [self.0],
+            [self.values],
             #[inline(always)]
-            |[], [x]| [relu(simd, x)],
+            |[], [x]| [self.activation.value(simd, x)],
+        );
+    }
+}
+
+/// Multiplies a gradient by the slopes.
+struct Slopes<'a> {
+    activation: Activation,
+    output: &'a [f32],
+    gradient: &'a mut [f32],
+}
+
+impl WithSimd for Slopes<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        zip(
+            simd,
+            [self.output],
+            [self.gradient],
+            // y has the sign of x where the slope depends on it.
+            #[inline(always)]
+            |[y], [by]| [simd.mul_f32s(by, self.activation.slope(simd, y, y))],
         );
     }
 }

@@ -6,7 +6,8 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::activation::Activate;
+use super::activation::{Activate, Elu, Relu, Sigmoid, Tanh};
+use crate::checkpoint::Activation;
 
 /// Outputs per block: two of the longest vectors.
 const PACK: usize = 32;
@@ -65,7 +66,17 @@ pub struct Means {
 impl<const F: usize> Encoder<'_, F> {
     /// The means over the particles `points`, `[B N, F]`, with the sums for the gradients: one pass, and one exponential for
     /// both.
-    pub fn forward<A: Activate>(&self, activation: A, points: &[f32]) -> Means {
+    pub fn forward(&self, activation: Activation, points: &[f32]) -> Means {
+        // One loop for each function.
+        match activation {
+            Activation::Sigmoid => self.forward_with(Sigmoid, points),
+            Activation::Tanh => self.forward_with(Tanh, points),
+            Activation::Relu => self.forward_with(Relu, points),
+            Activation::Elu => self.forward_with(Elu, points),
+        }
+    }
+
+    fn forward_with<A: Activate>(&self, activation: A, points: &[f32]) -> Means {
         let padded = Padded::new(self);
         let outputs = self.bias.len();
         let (points, _) = points.as_chunks::<F>();
@@ -90,9 +101,9 @@ impl<const F: usize> Encoder<'_, F> {
     }
 
     /// The gradients from `gradient`, that by the means, `[B, E]`, with the `slopes` of the forward pass.
-    pub fn backward<A: Activate>(
+    pub fn backward(
         &self,
-        activation: A,
+        activation: Activation,
         points: &[f32],
         slopes: &[f32],
         gradient: &[f32],
@@ -125,7 +136,21 @@ impl<const F: usize> Encoder<'_, F> {
     }
 
     /// The gradient by the features, `[B N, F]`, which computes the slopes again.
-    fn by_points<A: Activate>(&self, activation: A, points: &[f32], gradient: &[f32]) -> Vec<f32> {
+    fn by_points(&self, activation: Activation, points: &[f32], gradient: &[f32]) -> Vec<f32> {
+        match activation {
+            Activation::Sigmoid => self.by_points_with(Sigmoid, points, gradient),
+            Activation::Tanh => self.by_points_with(Tanh, points, gradient),
+            Activation::Relu => self.by_points_with(Relu, points, gradient),
+            Activation::Elu => self.by_points_with(Elu, points, gradient),
+        }
+    }
+
+    fn by_points_with<A: Activate>(
+        &self,
+        activation: A,
+        points: &[f32],
+        gradient: &[f32],
+    ) -> Vec<f32> {
         let padded = Padded::new(self);
         let (points, _) = points.as_chunks::<F>();
         let mut moved = vec![[0.0; F]; points.len()];
@@ -242,7 +267,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::kernels::activation::{Elu, Relu, Sigmoid, Tanh};
 
     /// Means and gradients in double precision, written as in a textbook. `of` is the activation with its slope.
     fn reference<const F: usize>(
@@ -273,8 +297,8 @@ mod tests {
         [means, by_points, by_weight, by_bias]
     }
 
-    fn check<const F: usize, A: Activate>(
-        activation: A,
+    fn check<const F: usize>(
+        activation: Activation,
         of: &dyn Fn(f64) -> [f64; 2],
         [windows, particles, outputs]: [usize; 3],
         numbers: &mut dyn Iterator<Item = f32>,
@@ -320,11 +344,11 @@ mod tests {
                 let y = 1.0 / (1.0 + (-x).exp());
                 [y, y * (1.0 - y)]
             };
-            check::<5, _>(Elu, &elu, sizes, &mut numbers)?;
-            check::<8, _>(Elu, &elu, sizes, &mut numbers)?;
-            check::<8, _>(Relu, &relu, sizes, &mut numbers)?;
-            check::<5, _>(Tanh, &tanh, sizes, &mut numbers)?;
-            check::<8, _>(Sigmoid, &sigmoid, sizes, &mut numbers)?;
+            check::<5>(Activation::Elu, &elu, sizes, &mut numbers)?;
+            check::<8>(Activation::Elu, &elu, sizes, &mut numbers)?;
+            check::<8>(Activation::Relu, &relu, sizes, &mut numbers)?;
+            check::<5>(Activation::Tanh, &tanh, sizes, &mut numbers)?;
+            check::<8>(Activation::Sigmoid, &sigmoid, sizes, &mut numbers)?;
         }
     }
 }

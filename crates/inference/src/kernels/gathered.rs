@@ -9,11 +9,11 @@
 //!
 //! Missing neighbours and children count as zeros. The products are those of [`narrow`](super::narrow).
 
-use crate::ops::linear::Gradients;
+use crate::{checkpoint::Activation, ops::linear::Gradients};
 
 use super::{
-    activation::relu_gradient,
-    matrix::Matrix,
+    activation::gradient_before,
+    matrix::{Matrix, transposed},
     narrow::{Panels, Rows, matrix_gradient, products},
 };
 
@@ -93,7 +93,7 @@ impl Convolution<'_> {
         by_weight: bool,
     ) -> Gradients {
         let (inputs, outputs) = (self.inputs(), self.bias.len());
-        let gradient = relu_gradient(self.rectify, output, gradient);
+        let gradient = gradient_before(self.rectify.then_some(Activation::Relu), output, gradient);
         let mut by = Gradients::new(&gradient, outputs);
         if by_weight {
             by.weight = matrix_gradient(self.table.rows(input, inputs), &gradient, outputs);
@@ -178,16 +178,6 @@ fn add_shares(parent: &[u32], input: &[f32], matrix: Matrix, sums: &mut [f32]) {
             *sum += share;
         }
     }
-}
-
-/// The transpose of a matrix.
-fn transposed(matrix: &[f32], columns: usize) -> Vec<f32> {
-    let rows = matrix.len() / columns;
-    let mut turned = vec![0.0; matrix.len()];
-    for (row, numbers) in matrix.chunks_exact(columns).enumerate() {
-        turned[row..].iter_mut().step_by(rows).zip(numbers).for_each(|(to, &from)| *to = from);
-    }
-    turned
 }
 
 #[cfg(test)]

@@ -213,6 +213,25 @@ fn sum_columns<S: Simd, const V: usize>(
     vectors.copy_from_slice(&sum);
 }
 
+/// Rows and columns of a part of a matrix that fits into the nearest cache with its transpose.
+const TURNED: usize = 32;
+
+/// The transpose of a matrix of so many columns.
+pub fn transposed(matrix: &[f32], columns: usize) -> Vec<f32> {
+    let rows = matrix.len() / columns;
+    let mut turned = vec![0.0; matrix.len()];
+    for first_row in (0..rows).step_by(TURNED) {
+        for first_column in (0..columns).step_by(TURNED) {
+            for row in first_row..(first_row + TURNED).min(rows) {
+                for column in first_column..(first_column + TURNED).min(columns) {
+                    turned[column * rows + row] = matrix[row * columns + column];
+                }
+            }
+        }
+    }
+    turned
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -85,7 +85,7 @@ impl Network {
 
 impl Layer {
     fn linear(&self) -> Linear<'_> {
-        Linear { weight: &self.weight.values, bias: &self.bias.values, rectify: false }
+        Linear { weight: &self.weight.values, bias: &self.bias.values, activation: None }
     }
 }
 

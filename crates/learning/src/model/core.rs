@@ -1,109 +1,75 @@
-//! The layers of the core. This is their definition: everything else is tested against it. `ops::cell` of `eddy-inference` has the
-//! equations.
+//! The cells of the core over tensors. This is their definition: everything else is tested against it. `ops::cell` of
+//! `eddy-inference` has the equations.
 
 use burn::tensor::{
     Tensor,
     activation::{elu, relu, sigmoid, tanh},
 };
 
-use super::{
-    fused, fused_layers,
-    linear::Linear,
-    scan::scan,
-    state::{LayerState, at},
-};
+use super::{linear::Linear, scan::scan, state::at};
 use eddy_inference::{
-    checkpoint::{Activation, Description},
+    checkpoint::Activation,
     ops::cell::{AnyCell, Form, MIN_GATE_SUM, MinGru, MinLstm},
 };
 
-/// A layer of the core.
-#[derive(Clone, Debug)]
-pub(crate) struct RecurrentLayer {
+/// The outputs of a layer over T frames, `[T, R, H]`, and its state after the last one, `[R, S H]`: the output, and the cell of an
+/// LSTM. `sums` are those of the layer's parts that read its input, `[T, R, H]` of each gate; `recurrent` is the part that reads the
+/// last output; `state` that before the first frame.
+pub(crate) fn cell(
     cell: AnyCell,
-    /// The linear parts that read the input.
-    input: Vec<Linear>,
-    /// The one that reads the last output.
-    recurrent: Option<Linear>,
+    mut sums: Vec<Tensor<3>>,
+    recurrent: Option<&Linear>,
+    state: Tensor<2>,
+) -> (Tensor<3>, Tensor<2>) {
+    let frame_by_frame = |next, sums| {
+        let recurrent = recurrent.expect("this core has the part that `Core` names");
+        frame_by_frame(next, recurrent, sums, state.clone())
+    };
+    let output = match cell {
+        AnyCell::Mlp(cell) => activate(cell.activation, sums.remove(0)),
+        AnyCell::MinGru(cell) => {
+            let (a, b) = mingru(cell, sums);
+            scan(a, b, Some(state))
+        }
+        AnyCell::MinLstm(cell) => {
+            let (a, b) = minlstm(cell, sums);
+            scan(a, b, Some(state))
+        }
+        AnyCell::Gru(_) => return frame_by_frame(gru, &sums[0]),
+        AnyCell::Lstm(_) => return frame_by_frame(lstm, &sums[0]),
+    };
+    let last = at(&output, output.dims()[0] - 1);
+    (output, last)
 }
 
-impl RecurrentLayer {
-    /// A layer of the described core; `linear` creates its parts by name.
-    pub(crate) fn new(description: &Description, linear: impl Fn(&str) -> Linear) -> Self {
-        let core = description.core;
-        Self {
-            cell: AnyCell::new(description),
-            input: core.input_parts().iter().map(|(part, _)| linear(part)).collect(),
-            recurrent: core.recurrent_part().map(linear),
-        }
-    }
+/// The state of an LSTM or GRU.
+struct LayerState {
+    /// Its last output, `[R, H]`.
+    hidden: Tensor<2>,
+    /// The cell of an LSTM, `[R, H]`; a GRU does not read it.
+    cell: Tensor<2>,
+}
 
-    /// Its linear parts, those that read the input first.
-    pub(crate) fn parts(&self) -> impl Iterator<Item = &Linear> {
-        self.input.iter().chain(&self.recurrent)
+fn frame_by_frame(
+    next: fn(Tensor<2>, Tensor<2>, LayerState) -> LayerState,
+    recurrent: &Linear,
+    sums: &Tensor<3>,
+    state: Tensor<2>,
+) -> (Tensor<3>, Tensor<2>) {
+    let ([rows, columns], [width, _]) = (state.dims(), recurrent.weight.dims());
+    let part = |columns| state.clone().slice([0..rows, columns]);
+    let mut state = LayerState { hidden: part(0..width), cell: part(columns - width..columns) };
+    let mut outputs = Vec::new();
+    for t in 0..sums.dims()[0] {
+        let products = recurrent.forward(state.hidden.clone());
+        state = next(at(sums, t), products, state);
+        outputs.push(state.hidden.clone());
     }
-
-    /// As [`RecurrentLayer::parts`], to change them.
-    pub(crate) fn parts_mut(&mut self) -> impl Iterator<Item = &mut Linear> {
-        self.input.iter_mut().chain(&mut self.recurrent)
-    }
-
-    /// All outputs, `[T, R, H]`, for the inputs, `[T, R, I]`, and the state after the last frame, from the state before the
-    /// first (zero if none).
-    pub(crate) fn observe(
-        &self,
-        input: Tensor<3>,
-        carried: Option<LayerState>,
-    ) -> (Tensor<3>, LayerState) {
-        let mut sums: Vec<_> = self.input.iter().map(|part| part.forward(input.clone())).collect();
-        if fused::runs_on(&input.device()) {
-            return fused_layers::cells(self.cell, sums, self.recurrent.as_ref(), carried);
-        }
-        let last = carried.as_ref().map(|state| state.hidden.clone());
-        let output = match self.cell {
-            AnyCell::Mlp(cell) => activate(cell.activation, sums.remove(0)),
-            AnyCell::MinGru(cell) => {
-                let (a, b) = mingru(cell, sums);
-                scan(a, b, last)
-            }
-            AnyCell::MinLstm(cell) => {
-                let (a, b) = minlstm(cell, sums);
-                scan(a, b, last)
-            }
-            AnyCell::Gru(_) => return self.frame_by_frame(gru, &sums[0], carried),
-            AnyCell::Lstm(_) => return self.frame_by_frame(lstm, &sums[0], carried),
-        };
-        let hidden = at(&output, output.dims()[0] - 1);
-        (output, LayerState { hidden, cell: None })
-    }
-
-    /// The next state, which includes the output, `[R, H]`, for the input, `[R, I]`, from the previous state (zero if none).
-    pub(crate) fn step(&self, input: Tensor<2>, carried: Option<LayerState>) -> LayerState {
-        self.observe(input.unsqueeze(), carried).1
-    }
-
-    /// All outputs, `[T, R, H]`, and the last state, from the sums of the inputs, `[T, R, G H]`.
-    fn frame_by_frame(
-        &self,
-        next: fn(Tensor<2>, Tensor<2>, LayerState) -> LayerState,
-        sums: &Tensor<3>,
-        carried: Option<LayerState>,
-    ) -> (Tensor<3>, LayerState) {
-        let recurrent = self.recurrent.as_ref().expect("this core has the part that `Core` names");
-        let [frames, rows, _] = sums.dims();
-        let width = recurrent.weight.dims()[0];
-        let mut state = carried.unwrap_or_else(|| LayerState {
-            hidden: Tensor::zeros([rows, width], &sums.device()),
-            cell: None,
-        });
-        let mut outputs = Vec::with_capacity(frames);
-        for t in 0..frames {
-            let products = recurrent.forward(state.hidden.clone());
-            state = next(at(sums, t), products, state);
-            outputs.push(state.hidden.clone());
-        }
-        (Tensor::stack(outputs, 0), state)
-    }
+    let last = match columns > width {
+        true => Tensor::cat(vec![state.hidden, state.cell], 1),
+        false => state.hidden,
+    };
+    (Tensor::stack(outputs, 0), last)
 }
 
 /// a = 1 - s(z), b = s(z) g(c) of h' = a h + b, from z and c.
@@ -131,18 +97,14 @@ fn gru(input: Tensor<2>, recurrent: Tensor<2>, last: LayerState) -> LayerState {
     let [[r, z, n], [of_r, of_z, of_n]] = [input, recurrent].map(gates);
     let update = sigmoid(z + of_z);
     let candidate = tanh(n + sigmoid(r + of_r) * of_n);
-    LayerState { hidden: candidate.clone() + update * (last.hidden - candidate), cell: None }
+    LayerState { hidden: candidate.clone() + update * (last.hidden - candidate), ..last }
 }
 
 /// From the sums of the input and of the last output, `[R, 4 H]` each, and the last state.
 fn lstm(input: Tensor<2>, recurrent: Tensor<2>, last: LayerState) -> LayerState {
     let [i, f, g, o] = gates(input + recurrent);
-    let entering = sigmoid(i) * tanh(g);
-    let cell = match last.cell {
-        Some(cell) => sigmoid(f) * cell + entering,
-        None => entering,
-    };
-    LayerState { hidden: sigmoid(o) * tanh(cell.clone()), cell: Some(cell) }
+    let cell = sigmoid(f) * last.cell + sigmoid(i) * tanh(g);
+    LayerState { hidden: sigmoid(o) * tanh(cell.clone()), cell }
 }
 
 /// The candidate as it enters the state: c, or in the log form g(c) = c + 1/2 for c >= 0 and s(c) below. The recurrence is

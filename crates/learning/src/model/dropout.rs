@@ -1,6 +1,5 @@
 //! Dropout after each layer of the core, in training only.
 
-use burn::tensor::{Tensor, TensorData};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -35,17 +34,12 @@ impl Dropout {
         self.training.as_ref().map(|(_, random)| random)
     }
 
-    /// The remaining values, scaled to keep their expected value.
-    pub(crate) fn apply<const D: usize>(&mut self, signal: Tensor<D>) -> Tensor<D> {
-        let Some((rate, random)) = &mut self.training else {
-            return signal;
-        };
+    /// The factors of the next `layers` outputs of `count` numbers each: zero, or what keeps their expected value; none if there is
+    /// no dropout.
+    pub(crate) fn masks(&mut self, layers: usize, count: usize) -> Vec<Vec<f32>> {
+        let Some((rate, random)) = &mut self.training else { return Vec::new() };
         let kept = 1.0 / (1.0 - *rate);
-        let shape = signal.dims();
-        let mask: Vec<f32> = (0..shape.iter().product())
-            .map(|_| if random.random::<f32>() < *rate { 0.0 } else { kept })
-            .collect();
-        let device = signal.device();
-        signal * Tensor::from_data(TensorData::new(mask, shape), &device)
+        let mut factor = || if random.random::<f32>() < *rate { 0.0 } else { kept };
+        (0..layers).map(|_| (0..count).map(|_| factor()).collect()).collect()
     }
 }

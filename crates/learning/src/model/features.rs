@@ -1,32 +1,8 @@
-//! The networks' input features.
-//!
-//! Frame model: x, y, vx, vy, normalised by minimum and maximum of the training split (the paper's eq. 1) or by mean and
-//! standard deviation, and the material, one-hot or as one number.
-//!
-//! Particle model ([`particle_features`]); pairs are along x and y:
-//!
-//! | inputs | feature |
-//! |---|---|
-//! | 2 | velocity, in units of u |
-//! | 2 | velocity residual: velocity minus the one that the ballistic step expected one frame ago; 0 at first; likewise |
-//! | 2 | wall impulse: velocity change at a wall in the coming ballistic step; likewise |
-//! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
-//! | 5 | shape of solids (`strain`): strain xx, yy, xy, bend along x and y |
-//! | 4 | material, one-hot |
-//! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is conditioned on it |
-//!
-//! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
-//! in the domain, which may be larger than in training.
-//!
-//! [`particle_features`]: eddy_inference::checkpoint::layout::particle_features
-//! [`stiffness_feature`]: eddy_inference::engine::scales::stiffness_feature
+//! The networks' input features over tensors: the definition of `ops::features` of `eddy-inference`, which lists them.
 
 use burn::tensor::{Device, Tensor};
 
-use super::{
-    ballistic::{BallisticMotion, BallisticTensors},
-    state::ParticleState,
-};
+use super::ballistic::BallisticTensors;
 use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{FeatureScaling, FrameOptions, MaterialInput, Normalization},
@@ -80,10 +56,10 @@ impl Scaling {
     pub(crate) fn frame(
         &self,
         options: &FrameOptions,
-        state: &ParticleState,
+        [position, velocity]: [Tensor<2>; 2],
         material: Tensor<2>,
     ) -> Tensor<2> {
-        let state = Tensor::cat(vec![state.position.clone(), state.velocity.clone()], 1);
+        let state = Tensor::cat(vec![position, velocity], 1);
         let state = match options.scaling {
             FeatureScaling::MinMax => (state - self.minimum.clone()) / self.range.clone(),
             FeatureScaling::ZScore => (state - self.mean.clone()) / self.deviation.clone(),
@@ -95,21 +71,20 @@ impl Scaling {
         Tensor::cat(vec![state, material], 1)
     }
 
-    /// Input of the particle model, `[R, F]`. `residual` is the velocity residual, `[R, 2]`, and `motion` the coming ballistic
-    /// step; `shape` is `[R, 5]`, `constants` [`StaticInputs::constants`](super::state::StaticInputs::constants).
+    /// Input of the particle model, `[R, F]`. `expected` are the velocities that the ballistic step expected of the frame, `[R, 2]`;
+    /// `shape` is `[R, 5]`, `constants` `[R, 4]` or `[R, 5]`.
     pub(crate) fn particle(
         &self,
-        state: &ParticleState,
-        residual: Tensor<2>,
-        motion: &BallisticMotion,
-        walls: &BallisticTensors,
+        [position, velocity, expected]: [Tensor<2>; 3],
+        ballistic: &BallisticTensors,
         shape: Tensor<2>,
         constants: Tensor<2>,
     ) -> Tensor<2> {
-        let below = (state.position.clone() - walls.lower.clone()).clamp_min(0.0);
-        let above = (walls.upper.clone() - state.position.clone()).clamp_min(0.0);
+        let motion = ballistic.step(position.clone(), velocity.clone());
+        let below = (position.clone() - ballistic.lower.clone()).clamp_min(0.0);
+        let above = (ballistic.upper.clone() - position).clamp_min(0.0);
         let distance = Tensor::cat(vec![below, above], 1); // [R, 4]
-        let velocities = vec![state.velocity.clone(), residual, motion.wall_impulse.clone()];
+        let velocities = vec![velocity.clone(), velocity - expected, motion.wall_impulse];
         Tensor::cat(
             vec![
                 Tensor::cat(velocities, 1).div_scalar(self.velocity_unit),

@@ -2,12 +2,14 @@
 //!
 //! The streaming engine of `eddy-inference` is compared with it in tests and in `eddy-lab bench inference`.
 
+use std::sync::Arc;
+
 use burn::tensor::{Tensor, TensorData};
 
 use super::{
     DeviceKind,
     dropout::Dropout,
-    network::Network,
+    network::{Model, Network},
     state::{ParticleState, RecurrentState, StaticInputs, pairs},
 };
 use eddy_frames::Frame;
@@ -29,7 +31,7 @@ pub struct Reference {
 #[derive(Clone)]
 pub struct HiddenState {
     recurrent: RecurrentState,
-    fixed: StaticInputs,
+    fixed: Arc<StaticInputs>,
     lattices: Lattices,
     expected_nodes: Expected,
 }
@@ -41,7 +43,9 @@ impl Reference {
     /// [`CheckpointError`] if the weights do not match the description.
     pub fn load(checkpoint: &Checkpoint, device: DeviceKind) -> Result<Self, CheckpointError> {
         checkpoint.check("checkpoint".as_ref())?;
-        let network = Network::new(&checkpoint.description, &checkpoint.tensors, &device.device());
+        let model = Model::new(&checkpoint.description);
+        let weights = Arc::new(model.plan.in_order(&checkpoint.tensors));
+        let network = Network::new(&model, &weights, &device.device());
         let corrector = Corrector::new(&checkpoint.description);
         Ok(Self { network, corrector, device, description: checkpoint.description.clone() })
     }
@@ -60,10 +64,9 @@ impl Reference {
         );
         let Frame { material, position, .. } = frame;
         let grid = self.description.grid.as_ref();
-        let device = self.device.device();
         let each = stiffness.as_ref().map(std::slice::from_ref);
-        let fixed = StaticInputs::new(material, position, 1, each, grid, &device);
-        let rows = (&*fixed.rest, 0..position.len());
+        let fixed = StaticInputs::new(material, position, 1, each, grid);
+        let rows = (&fixed.rest, 0..position.len());
         let lattices = engine::lattices(&self.description, rows, position, material, stiffness);
         let expected_nodes = lattices.expected();
         HiddenState { recurrent: RecurrentState::default(), fixed, lattices, expected_nodes }

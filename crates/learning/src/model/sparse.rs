@@ -1,51 +1,43 @@
-//! The layers on the sparse grid in tensor operations; [`fused_layers`](super::fused_layers) has kernels for them.
+//! The operations on the sparse grid over tensors.
 
 use burn::tensor::{Device, IndexingUpdateOp, Int, Tensor, TensorData};
 
-use super::grid_context::{GridContext, Table};
+use super::{grid_context::GridContext, linear::Linear};
 use eddy_inference::{
+    checkpoint::grid::{GridLayer, Stencil},
     engine::scales::{FULL_MASS, MIN_MASS},
     kernels::nodes::{MISSING, Nodes},
 };
 
-/// A convolution, `[M', C']` to `[M, C]`: the table's concatenated rows times `weight`, `[k C', C]`, plus `bias`, `[C]`.
-pub(crate) fn gathered(
-    nodes: &Nodes,
-    table: Table,
+/// The sums of a layer on nodes, `[M', C']` to `[M, C]`: from the gathered rows of a node with the matrix `[k C', C]`; from its parent
+/// with that of the child out of `[C', 4 C]`.
+pub(crate) fn convolution(
+    context: &GridContext,
+    layer: &GridLayer,
     rows: Tensor<2>,
-    weight: Tensor<2>,
-    bias: Tensor<1>,
+    Linear { weight, bias }: &Linear,
 ) -> Tensor<2> {
-    let table = match table {
-        Table::Neighbours(level) => nodes.level(level).neighbours.as_flattened(),
-        Table::Children(level) => nodes.level(level).children.as_flattened(),
-    };
-    let ([present, width], [inputs, _]) = (rows.dims(), weight.dims());
+    let nodes = context.nodes.level(layer.level);
+    let ([count, width], [inputs, outputs]) = (rows.dims(), weight.dims());
     let device = rows.device();
+    let table = match layer.stencil {
+        Stencil::Neighbours => nodes.neighbours.as_flattened(),
+        Stencil::Children => nodes.children.as_flattened(),
+        Stencil::Parent => {
+            let children = rows.matmul(weight.clone()).reshape([count * 4, outputs / 4]); // [M' 4, C]
+            let places = indices(nodes.parent.iter().copied(), &device);
+            return children.select(0, places) + bias.clone().unsqueeze();
+        }
+    };
     let rows = Tensor::cat(vec![rows, Tensor::zeros([1, width], &device)], 0);
-    let place = |&node: &u32| if node == MISSING { present as u32 } else { node };
+    let place = |&node: &u32| if node == MISSING { count as u32 } else { node };
     let rows = rows.select(0, indices(table.iter().map(place), &device)); // [M k, C']
-    rows.reshape([table.len() * width / inputs, inputs]).matmul(weight) + bias.unsqueeze()
-}
-
-/// A transposed convolution from a level's parents, `[M', C']` to `[M, C]`: `weight`, `[C', 4 C]`, has a map per child;
-/// `bias` is `[C]`.
-pub(crate) fn spread(
-    nodes: &Nodes,
-    level: usize,
-    parents: Tensor<2>,
-    weight: Tensor<2>,
-    bias: Tensor<1>,
-) -> Tensor<2> {
-    let ([count, _], [_, four]) = (parents.dims(), weight.dims());
-    let device = parents.device();
-    let children = parents.matmul(weight).reshape([count * 4, four / 4]); // [M' 4, C]
-    let places = nodes.level(level).parent.iter().copied();
-    children.select(0, indices(places, &device)) + bias.unsqueeze()
+    let rows = rows.reshape([table.len() * width / inputs, inputs]);
+    rows.matmul(weight.clone()) + bias.clone().unsqueeze()
 }
 
 /// `[R, C]` to `[M0, C + 5]`: averages, mass, proximity to walls.
-pub(crate) fn write(context: &GridContext, encoded: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+pub(crate) fn write(context: &GridContext, [encoded, position]: [Tensor<2>; 2]) -> Tensor<2> {
     let nodes = &context.nodes;
     let device = encoded.device();
     let ([rows, width], count) = (encoded.dims(), nodes.level(0).len());
@@ -64,7 +56,7 @@ pub(crate) fn write(context: &GridContext, encoded: Tensor<2>, position: Tensor<
 }
 
 /// Interpolation at the particles, `[M0, C]` to `[R, C]`.
-pub(crate) fn read(context: &GridContext, rows: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
+pub(crate) fn read(context: &GridContext, [rows, position]: [Tensor<2>; 2]) -> Tensor<2> {
     let device = rows.device();
     let ([_, width], [particles, _]) = (rows.dims(), position.dims());
     let stencils = indices(stencils(&context.nodes, particles).into_iter().flatten(), &device);

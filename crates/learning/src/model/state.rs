@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use eddy_frames::Material;
 use eddy_inference::{
@@ -26,14 +26,14 @@ impl ParticleState {
 /// Inputs that do not change from frame to frame.
 #[derive(Clone, Debug)]
 pub(crate) struct StaticInputs {
-    /// Features that do not change: materials, one-hot, then the stiffness, if the network is conditioned on it, `[R, 4]` or `[R, 5]`.
-    pub(crate) constants: Tensor<2>,
-    /// The same as a list.
-    pub(crate) constant_list: Arc<Vec<f32>>,
+    /// Numbers of the materials, `[R]`.
+    pub(crate) material: Vec<u8>,
+    /// The feature of each window's stiffness, `[B]`, if the network is conditioned on it.
+    pub(crate) stiffness: Option<Vec<f32>>,
     /// B; all windows have the same number of particles.
     pub(crate) windows: usize,
     /// The rest shapes of solids.
-    pub(crate) rest: Arc<RestShape>,
+    pub(crate) rest: RestShape,
 }
 
 impl StaticInputs {
@@ -46,29 +46,19 @@ impl StaticInputs {
         windows: usize,
         stiffness: Option<&[f32]>,
         grid: Option<&GridOptions>,
-        device: &Device,
-    ) -> Self {
+    ) -> Arc<Self> {
         let spacing = grid.map_or(0.0, |grid| grid.spacing);
-        let rest = Arc::new(RestShape::new(rest, material, windows, spacing));
-        let particles = material.len() / windows;
-        let constants: Vec<f32> = material
-            .iter()
-            .enumerate()
-            .flat_map(|(row, material)| {
-                let one_hot = Material::ALL.map(|kind| f32::from(u8::from(kind == *material)));
-                let stiffness = stiffness.map(|all| stiffness_feature(all[row / particles]));
-                one_hot.into_iter().chain(stiffness)
-            })
-            .collect();
-        let width = Material::COUNT + usize::from(stiffness.is_some());
-        let data = TensorData::new(constants.clone(), [material.len(), width]);
-        let tensor = Tensor::from_data(data, device);
-        Self { constants: tensor, constant_list: Arc::new(constants), windows, rest }
+        Arc::new(Self {
+            material: material.iter().map(|&material| material as u8).collect(),
+            stiffness: stiffness.map(|all| all.iter().copied().map(stiffness_feature).collect()),
+            windows,
+            rest: RestShape::new(rest, material, windows, spacing),
+        })
     }
 
     /// N.
     pub(crate) fn particles(&self) -> usize {
-        self.rest.len() / self.windows
+        self.material.len() / self.windows
     }
 }
 
@@ -107,20 +97,12 @@ pub(crate) fn at(frames: &Tensor<3>, t: usize) -> Tensor<2> {
     frames.clone().slice([t..t + 1, 0..rows, 0..width]).reshape([rows, width])
 }
 
-/// The state that a layer of the core carries from frame to frame.
-#[derive(Clone, Debug)]
-pub(crate) struct LayerState {
-    /// Its last output, `[R, H]`.
-    pub(crate) hidden: Tensor<2>,
-    /// The cell of an LSTM, `[R, H]`.
-    pub(crate) cell: Option<Tensor<2>>,
-}
-
 /// The state that a network carries from frame to frame; empty before the first frame.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RecurrentState {
-    /// The state of each layer of the core: one row per window in the frame model, one per particle in the particle model.
-    pub(crate) layers: Vec<LayerState>,
+    /// The states of the core's L layers, one behind another: a row per window in the frame model, per particle in the particle
+    /// model, with the last outputs, then the cells of an LSTM: `[L R, S H]`.
+    pub(crate) states: Option<Tensor<2>>,
     /// Particle model: the velocities that the ballistic step expects in the coming frame, `[R, 2]`.
     pub(crate) expected_velocity: Option<Tensor<2>>,
 }
@@ -128,13 +110,10 @@ pub(crate) struct RecurrentState {
 impl RecurrentState {
     /// The same values, through which no gradient passes.
     pub(crate) fn without_gradient(self) -> Self {
-        let layer = |LayerState { hidden, cell }: LayerState| LayerState {
-            hidden: hidden.detach(),
-            cell: cell.map(Tensor::detach),
-        };
+        let Self { states, expected_velocity } = self;
         Self {
-            layers: self.layers.into_iter().map(layer).collect(),
-            expected_velocity: self.expected_velocity.map(Tensor::detach),
+            states: states.map(Tensor::detach),
+            expected_velocity: expected_velocity.map(Tensor::detach),
         }
     }
 }

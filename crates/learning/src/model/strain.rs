@@ -1,17 +1,12 @@
 //! Strain and bend of solids relative to their rest shape: [`RestShape::shape`] over tensors.
 
-use std::sync::Arc;
-
 use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 
-use super::{fused, fused_layers, sparse::indices};
+use super::sparse::indices;
 use eddy_inference::kernels::rest_shape::{LIMIT, Link, RestShape, SCALE};
 
 /// The shape features, `[T R, 5]`, of R particles with the rest shape `rest` at `position` over T frames, `[T R, 2]`.
-pub(crate) fn shape(position: &Tensor<2>, rest: &Arc<RestShape>) -> Tensor<2> {
-    if fused::runs_on(&position.device()) {
-        return fused_layers::shape(rest.clone(), position.clone());
-    }
+pub(crate) fn shape(position: &Tensor<2>, rest: &RestShape) -> Tensor<2> {
     let [count, _] = position.dims();
     let frames = count / rest.len().max(1);
     let links = (0..frames).flat_map(|frame| {

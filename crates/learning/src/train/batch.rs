@@ -1,5 +1,7 @@
 //! Windows as tensors.
 
+use std::sync::Arc;
+
 use burn::tensor::{Device, Tensor, TensorData};
 
 use super::{loss_weights::LossScale, window::Window};
@@ -9,7 +11,7 @@ use eddy_inference::checkpoint::Description;
 
 /// A batch of B windows with N particles each: R = B N rows, window by window.
 pub(super) struct Batch {
-    pub(super) fixed: StaticInputs,
+    pub(super) fixed: Arc<StaticInputs>,
     /// The W frames of the warm-up, `[W, R, 2]`.
     pub(super) observed: TrajectoryBatch,
     /// The K frames to predict freely, `[K, R, 2]`.
@@ -68,7 +70,6 @@ impl Batch {
                 windows.len(),
                 stiffness.as_deref(),
                 description.grid.as_ref(),
-                device,
             ),
             observed: trajectory(0..warm_up),
             future: trajectory(warm_up..warm_up + unroll),

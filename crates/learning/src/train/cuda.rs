@@ -13,7 +13,7 @@ use super::{
     gradients::GradientTask,
     knots,
     optimizer::{Correction, Moments},
-    state::RunState,
+    state::{RunState, by_name},
     steps::Step,
     validate,
     window::{Draw, Sampler},
@@ -213,7 +213,7 @@ impl Learner {
         let training = self.replicas.first().and_then(|replica| replica.training.as_ref());
         let Some(training) = training else { return Ok(()) };
         let [weights, first, second, average] = training.optimizer().state()?;
-        state.set_weights(weights);
+        state.weights = weights.into();
         let moments = first.into_iter().zip(second).zip(average);
         state.optimizer.moments =
             moments.map(|((first, second), average)| Moments { first, second, average }).collect();
@@ -236,10 +236,9 @@ impl Replica {
         let particles = description.sizes.particles.unwrap_or_default();
         let weights = common_weights(scale, state.unroll, particles);
         let training = self.stores.training(&self.device, description, &settings, weights)?;
-        training.set_weights(&state.weights(description))?;
-        let weights = state.in_order();
+        training.set_weights(&by_name(description, &state.weights))?;
         let none = Moments::default();
-        let moments = weights.iter().enumerate().map(|(tensor, weights)| {
+        let moments = state.weights.iter().enumerate().map(|(tensor, weights)| {
             let Moments { first, second, average } =
                 state.optimizer.moments.get(tensor).unwrap_or(&none);
             // The average begins at the weights.

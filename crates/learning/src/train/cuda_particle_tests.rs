@@ -13,11 +13,11 @@ use super::{
     loss_weights::{CommonSums, LossScale},
     optimizer::Correction,
     schedule::Batches,
-    state::{RunState, network},
+    state::{RunState, by_name, in_order},
     steps::Learner,
     window::{Sampler, Window},
 };
-use crate::model::{DeviceKind, network::Network};
+use crate::model::DeviceKind;
 use eddy_cuda::{
     device::Device,
     frame::Place,
@@ -30,7 +30,6 @@ use eddy_frames::{Domain, Material, Stamp, State};
 use eddy_inference::{
     checkpoint::{
         Architecture, Checkpoint, Core, Description, Form, Weights, initial_weights,
-        layout::{LinearLayer, linear_layers},
         tensors_of_knots,
     },
     engine::{Ballistic, Surrogate},
@@ -187,26 +186,13 @@ fn scale<'a>(
     scale
 }
 
-/// Tensors in the order of the optimizer, matrices as `[in, out]`.
-fn in_order(description: &Description, tensors: &BTreeMap<String, Weights>) -> Vec<Vec<f32>> {
-    let transposed = |Weights { shape, values }: &Weights| -> Vec<f32> {
-        (0..shape[1]).flat_map(|i| values[i..].iter().step_by(shape[1]).copied()).collect()
-    };
-    let layers = linear_layers(description).into_iter();
-    let pair = |layer: LinearLayer| {
-        [transposed(&tensors[&layer.weight]), tensors[&layer.bias].values.clone()]
-    };
-    layers.flat_map(pair).collect()
-}
-
 /// Steps on the CPU and in the emulator, each from the same weights on the same windows. Where a unit is so close to the bend of
 /// its ReLU that the last bits of the weights decide on its gradient, the gradients may differ by what these bits change.
 fn compare(config: &TrainConfig, streams: &[Trajectory]) {
     let description = description(config);
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(streams, &config.windows, unroll).unwrap();
-    let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
-    let device = DeviceKind::Flex.device().autodiff();
+    let mut state = RunState::new(config, &description, None);
     state.unroll = unroll;
     let scale = scale(config, &description, &sampler, &mut state);
     let task =
@@ -217,10 +203,10 @@ fn compare(config: &TrainConfig, streams: &[Trajectory]) {
         let draws = sampler.choose_many(config.windows.batch, &mut state.order);
         let windows: Vec<Window> = draws.iter().map(|&draw| sampler.cut(draw).unwrap()).collect();
         let before = training.weights().unwrap();
-        let near = Network::new(&description, &nearly(&before, step), &device);
+        let near = in_order(&description, &nearly(&before, step)).into();
         let near = task.compute(&near, &windows, &mut state.dropout).gradients;
-        state.network = Network::new(&description, &before, &device);
-        let slope = task.compute(&state.network, &windows, &mut state.dropout);
+        state.weights = in_order(&description, &before).into();
+        let slope = task.compute(&state.weights, &windows, &mut state.dropout);
 
         let correction = Correction::new(state.optimizer.steps + 1, 1e-2, &config.optimizer);
         let own = cuda::weights(&scale, &sampler, &draws, unroll).unwrap();
@@ -245,14 +231,14 @@ fn compare(config: &TrainConfig, streams: &[Trajectory]) {
         let most = if config.optimizer.kind == OptimizerKind::Muon { 1e-4 } else { 2e-5 };
         let gradients = in_order(&description, &gradients);
         let mut optimizer = state.optimizer.step(1e-2, &config.optimizer).measured();
-        state.network.layers_mut().exchange(|tensor, values| {
+        for (tensor, values) in Arc::make_mut(&mut state.weights).iter_mut().enumerate() {
             optimizer.change(tensor, values, &gradients[tensor]);
-        });
+        }
         let norm = optimizer.gradient_norm();
         let difference = f64::from(outcome.gradient_norm) / norm - 1.0;
         assert!(difference.abs() < 2e-5, "norm of the gradient: {difference:.1e}");
         for (found, expected) in [
-            (training.weights().unwrap(), state.network.layers().tensors(&description)),
+            (training.weights().unwrap(), by_name(&description, &state.weights)),
             (training.average().unwrap(), state.tensors(&description)),
         ] {
             for (name, expected) in expected {
@@ -371,7 +357,7 @@ fn compare_devices(config: &TrainConfig, most: f64) {
     let (streams, description) = (streams(), description(config));
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
-    let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
+    let mut state = RunState::new(config, &description, None);
     let scale = scale(config, &description, &sampler, &mut state);
     let draws: Vec<_> = (0..3).map(|_| sampler.choose_many(4, &mut state.order)).collect();
     let steps = |devices: usize, rank: usize| -> Vec<_> {
@@ -441,7 +427,7 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
     let (streams, description) = (streams(), description(config));
     let unroll = config.unroll[0].frames;
     let run = |open: &dyn Fn() -> Learner| {
-        let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
+        let mut state = RunState::new(config, &description, None);
         let tensors = match description.stiffness_knots.len() {
             0 => weights(&description, 13),
             knots => {
@@ -449,7 +435,7 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
                 tensors_of_knots(&of_knots.collect::<Vec<_>>())
             }
         };
-        (state.network, state.of_knots) = network(&description, &tensors, DeviceKind::Flex);
+        state.weights = in_order(&description, &tensors).into();
         state.unroll = unroll;
         let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
         if !config.network.stiffness_knots.is_empty() {
@@ -499,7 +485,7 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
     let (again, again_losses) = run(&on_gpu);
 
     assert_eq!(found_losses, again_losses, "the same bits each time");
-    let tensors = |state: &RunState| state.weights(&description);
+    let tensors = |state: &RunState| by_name(&description, &state.weights);
     assert_eq!(tensors(&found), tensors(&again), "the same bits each time");
     for ((found, same), (expected, windows)) in found_losses.iter().zip(&expected_losses) {
         assert_eq!(same, windows, "the same windows are drawn");
@@ -511,7 +497,7 @@ fn keeps_the_state_of_a_run_on_the_cpu(config: &TrainConfig) {
         if expected.first.is_empty() {
             // The weights of a stiffness that no batch was near.
             assert!(found.first.iter().chain(&found.second).all(|&number| number == 0.0));
-            assert_eq!(found.average, run_on_cpu.of_knots[tensor], "still the first weights");
+            assert_eq!(found.average, run_on_cpu.weights[tensor], "still the first weights");
             continue;
         }
         assert!(relative_error(&found.first, &expected.first) < 1e-4, "first moments");

@@ -11,11 +11,14 @@ use super::{
     knots::ONE_SET,
     loss_weights::{LossScale, TrivialSums},
     schedule::Batches,
-    state::RunState,
+    state::{RunState, by_name, in_order},
     steps::Learner,
     window::{Sampler, Window},
 };
-use crate::model::{DeviceKind, network::Network};
+use crate::model::{
+    DeviceKind,
+    network::{Model, Network},
+};
 use eddy_cuda::{
     device::Device,
     frame::{self, Place, Training},
@@ -28,7 +31,7 @@ use eddy_frames::{Domain, Material, Stamp, State};
 use eddy_inference::{
     checkpoint::{
         Activation, Architecture, Checkpoint, Core, Description, FeatureScaling, Form, FrameOutput,
-        MaterialInput, Pooling, WeightFormat, Weights, layout::linear_layers,
+        MaterialInput, Pooling, WeightFormat, Weights, plan::Plan,
     },
     engine::{Ballistic, Surrogate},
 };
@@ -109,7 +112,7 @@ pub(super) fn named(
     description: &Description,
     tensors: Vec<Vec<f32>>,
 ) -> BTreeMap<String, Vec<f32>> {
-    let layers = linear_layers(description);
+    let layers = Plan::new(description).layers;
     let mut tensors = tensors.into_iter();
     let mut named = BTreeMap::new();
     for layer in layers {
@@ -148,8 +151,8 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     };
     let weights = random_weights(&description);
     let checkpoint = Checkpoint::new(description.clone(), weights.clone());
-    let mut state = RunState::new(config, &checkpoint.description, None, DeviceKind::Flex);
-    state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
+    let mut state = RunState::new(config, &checkpoint.description, None);
+    state.weights = in_order(&description, &weights).into();
     state.unroll = unroll;
     if config.loss.kind == LossKind::Relative {
         let mut sums = TrivialSums::new(unroll);
@@ -179,7 +182,9 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
             device: DeviceKind::Flex,
         };
         let masks = state.dropout.fork();
-        let slope = task.group(state.network.detached(), &windows, &mut masks.clone());
+        let device = task.device.device().autodiff();
+        let network = Network::new(&Model::new(&description), &state.weights, &device);
+        let slope = task.group(&network, &windows, &mut masks.clone());
 
         let correction =
             super::optimizer::Correction::new(state.optimizer.steps + 1, 1e-2, &config.optimizer);
@@ -198,16 +203,16 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
         }
 
         let mut optimizer = state.optimizer.step(1e-2, &config.optimizer).measured();
-        state.network.layers_mut().exchange(|tensor, values| {
+        for (tensor, values) in Arc::make_mut(&mut state.weights).iter_mut().enumerate() {
             optimizer.change(tensor, values, &slope.gradients[tensor]);
-        });
+        }
         let norm = optimizer.gradient_norm();
         assert!(
             (f64::from(outcome.gradient_norm) / norm - 1.0).abs() < 1e-4,
             "norm of the gradient"
         );
         for (found, expected) in [
-            (training.weights().unwrap(), state.network.layers().tensors(&description)),
+            (training.weights().unwrap(), by_name(&description, &state.weights)),
             (training.average().unwrap(), state.tensors(&description)),
         ] {
             for (name, expected) in expected {
@@ -316,8 +321,8 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         Checkpoint::new(description.clone(), tensors)
     };
     let run = |open: &dyn Fn() -> Learner| {
-        let mut state = RunState::new(&config, &description, None, DeviceKind::Flex);
-        state.network = Network::new(&description, &weights, &DeviceKind::Flex.device().autodiff());
+        let mut state = RunState::new(&config, &description, None);
+        state.weights = in_order(&description, &weights).into();
         state.unroll = unroll;
         let mut sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
         let mut losses = Vec::new();
@@ -368,10 +373,8 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
         assert!(relative_error(&found.second, &expected.second) < 1e-4, "second moments");
         assert!(relative_error(&found.average, &expected.average) < 1e-4, "averages");
     }
-    let (found, expected) = (
-        found.network.layers().tensors(&description),
-        expected.network.layers().tensors(&description),
-    );
+    let (found, expected) =
+        (by_name(&description, &found.weights), by_name(&description, &expected.weights));
     for (name, expected) in expected {
         assert!(relative_error(&found[&name].values, &expected.values) < 5e-5, "{name}");
     }

@@ -1,7 +1,7 @@
 //! Compares networks, losses, gradients and Adam with PyTorch, using the data in `tests/golden/torch`; its generator,
 //! `generate.py`, documents each tensor.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, fs, path::Path, sync::Arc};
 
 use burn::tensor::{Device, Tensor};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -14,12 +14,12 @@ use super::{
 use crate::model::{
     DeviceKind,
     dropout::Dropout,
-    network::Network,
+    network::{Model, Network},
     state::{RecurrentState, TrajectoryBatch},
 };
 use eddy_frames::{Material, State};
 use eddy_inference::{
-    checkpoint::{Description, Weights},
+    checkpoint::{Description, Weights, plan::Plan},
     engine::Ballistic,
 };
 
@@ -105,7 +105,9 @@ impl Golden {
     }
 
     fn network(&self, device: &Device) -> Network {
-        Network::new(&self.description, &self.weights, device)
+        let model = Model::new(&self.description);
+        let weights = model.plan.in_order(&self.weights);
+        Network::new(&model, &Arc::new(weights), device)
     }
 
     /// The windows, of which the first `warm_up` frames are observed.
@@ -244,17 +246,14 @@ fn every_network_predicts_the_same_as_pytorch() {
 fn losses_and_gradients_equal_those_of_pytorch() {
     for_all(|golden, kind| {
         let device = kind.device();
-        let mut network = golden.network(&device.clone().autodiff());
+        let network = golden.network(&device.clone().autodiff());
         let loss = golden.loss(&network, &device);
         let value = f64::from(loss.clone().inner().into_scalar::<f32>());
         let difference = (value - golden.loss).abs();
         assert!(difference <= TOLERANCE * golden.loss, "{}: {value} {}", golden.name, golden.loss);
 
-        // Replaces weights by gradients, to get them by name and in PyTorch's layout.
-        let mut gradients = loss.backward();
-        let put = |_, weight: &mut [f32], gradient: &[f32]| weight.copy_from_slice(gradient);
-        network.layers_mut().update(&mut gradients, put);
-        let gradients = network.layers().tensors(&golden.description);
+        let gradients = network.gradients(&mut loss.backward());
+        let gradients = Plan::new(&golden.description).by_name(&gradients);
         golden.compare_layers("gradient", &gradients, TOLERANCE, kind);
     });
 }
@@ -264,8 +263,6 @@ fn losses_and_gradients_equal_those_of_pytorch() {
 #[test]
 #[expect(clippy::too_many_lines, reason = "one story: loss, gradients, ten steps")]
 fn kernels_for_gpus_take_the_steps_of_pytorch() {
-    use std::sync::Arc;
-
     use super::{cuda, optimizer::Correction, window::Draw};
     use eddy_cuda::{
         frame::{Place, Training},
@@ -341,17 +338,18 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
 fn ten_steps_of_adam_change_the_weights_as_in_pytorch() {
     for_all(|golden, kind| {
         let device = kind.device();
-        let mut network = golden.network(&device.clone().autodiff());
+        let model = Model::new(&golden.description);
+        let mut weights = Arc::new(model.plan.in_order(&golden.weights));
         let mut optimizer = Optimizer::default();
         let config: &OptimizerConfig = &golden.config.optimizer;
         for _ in 0..STEPS {
-            let mut gradients = golden.loss(&network, &device).backward();
+            let network = Network::new(&model, &weights, &device.clone().autodiff());
+            let gradients = network.gradients(&mut golden.loss(&network, &device).backward());
             let mut step = optimizer.step(LEARNING_RATE, config);
-            network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
-                step.change(tensor, values, gradient);
-            });
+            let all = Arc::make_mut(&mut weights).iter_mut().zip(&gradients).enumerate();
+            all.for_each(|(tensor, (values, gradient))| step.change(tensor, values, gradient));
         }
-        let mut changes = network.layers().tensors(&golden.description);
+        let mut changes = model.plan.by_name(&weights);
         golden.subtract_weights(&mut changes);
         golden.compare_layers("change", &changes, TOLERANCE_AFTER_ADAM, kind);
     });

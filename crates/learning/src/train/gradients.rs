@@ -4,10 +4,16 @@
 //! windows independently, and the data of a window stays in nearby caches. Gradients are added in the order of the windows. In
 //! the frame model, all windows go through the network together, since its weights are much larger than a window.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::{TrainConfig, batch::Batch, loss, loss_weights::LossScale, window::Window};
-use crate::model::{DeviceKind, dropout::Dropout, network::Network};
+use crate::model::{
+    DeviceKind,
+    dropout::Dropout,
+    network::{Model, Network},
+};
 use eddy_inference::checkpoint::{Architecture, Description};
 
 /// The loss of a batch and its gradient by each tensor, in the order of the layers' update; empty if the loss does not depend on
@@ -26,13 +32,15 @@ pub(super) struct GradientTask<'a> {
 }
 
 impl GradientTask<'_> {
-    /// The means over the windows.
+    /// The means over the windows, of the network with these weights in the order of its plan.
     pub(super) fn compute(
         &self,
-        network: &Network,
+        weights: &Arc<Vec<Vec<f32>>>,
         windows: &[Window],
         dropout: &mut Dropout,
     ) -> BatchGradient {
+        let model = Model::new(self.description);
+        let device = self.device.device().autodiff();
         let together = match self.config.architecture {
             Architecture::Frame => windows.len(),
             Architecture::Particle => 1,
@@ -43,7 +51,8 @@ impl GradientTask<'_> {
             .into_par_iter()
             .map(|(group, mut dropout)| {
                 let share = group.len() as f32 / windows.len() as f32;
-                (share, self.group(network.detached(), group, &mut dropout))
+                let network = Network::new(&model, weights, &device);
+                (share, self.group(&network, group, &mut dropout))
             })
             .collect();
         let mut parts = parts.into_iter();
@@ -67,17 +76,17 @@ impl GradientTask<'_> {
     /// The means over windows that go through the network together.
     pub(super) fn group(
         &self,
-        network: Network,
+        network: &Network,
         windows: &[Window],
         dropout: &mut Dropout,
     ) -> BatchGradient {
         let Self { config, description, scale, .. } = self;
         let warm_up = config.windows.warm_up;
         let batch = Batch::new(windows, warm_up, scale, description, &self.device.device());
-        let (predicted, steps) = loss::unroll(&network, &batch, config.truncation, dropout);
+        let (predicted, steps) = loss::unroll(network, &batch, config.truncation, dropout);
         let loss = loss::loss(&config.loss, &batch, &predicted, &steps, description.domain);
         let value = loss.clone().inner().into_scalar();
-        let mut gradients = network.layers().gradients(&mut loss.backward());
+        let mut gradients = network.gradients(&mut loss.backward());
         // The gradient of a window whose prediction diverges can overflow. It contains no direction and is dropped.
         if !gradients.iter().flatten().all(|number| number.is_finite()) {
             gradients.iter_mut().flatten().for_each(|number| *number = 0.0);

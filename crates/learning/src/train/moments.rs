@@ -9,7 +9,7 @@ use super::{
     optimizer::{Moments, Optimizer},
     record::damaged,
 };
-use eddy_inference::checkpoint::{Description, Weights, layout};
+use eddy_inference::checkpoint::{Description, Weights, plan::Plan};
 
 /// XXH3 of names and values, hexadecimal.
 pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
@@ -25,7 +25,7 @@ pub(super) fn checksum(tensors: &BTreeMap<String, Weights>) -> String {
 
 /// Names and sizes of the network's tensors, in the order of the optimizer; with a number behind it where there are several knots.
 fn tensors(description: &Description) -> impl Iterator<Item = (String, usize)> {
-    let layers = layout::linear_layers(description).into_iter().flat_map(|layer| {
+    let layers = Plan::new(description).layers.into_iter().flat_map(|layer| {
         let biases = layer.output / layer.sharing;
         [(layer.weight, layer.input * layer.output), (layer.bias, biases)]
     });

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{OptimizerConfig, OptimizerKind, TrainConfig, muon};
 use eddy_inference::{
-    checkpoint::{Description, layout},
+    checkpoint::{Description, layout, plan::Plan},
     kernels::vectors::zip,
 };
 
@@ -85,7 +85,7 @@ impl Optimizer {
     /// The state before the first step.
     pub(super) fn new(config: &TrainConfig, description: &Description) -> Self {
         let muon = config.optimizer.kind == OptimizerKind::Muon;
-        let layers = layout::linear_layers(description).into_iter();
+        let layers = Plan::new(description).layers.into_iter();
         let tensors = layers.flat_map(|layer| {
             let hidden = muon && layout::is_hidden(&layer.weight);
             [hidden.then_some([layer.input, layer.output]), None]

@@ -25,7 +25,7 @@ use super::{
     moments::{checksum, moments_by_name, moments_in_order},
     optimizer::Optimizer,
     record::{self, GeneratorState, RECORD_VERSION, Record, damaged, same_run},
-    state::{self, NetworkWithKnots, RunState},
+    state::{self, RunState},
 };
 use crate::model::dropout::Dropout;
 use eddy_inference::checkpoint::{
@@ -100,7 +100,7 @@ pub(super) fn begin(
             });
         }
     }
-    Ok(RunState::new(config, description, run.start, run.device))
+    Ok(RunState::new(config, description, run.start))
 }
 
 /// Replaces the last epoch on disk. `seconds` is the training time, `last` the checkpoint.
@@ -113,7 +113,7 @@ pub(super) fn save(
 ) -> Result<(), TrainError> {
     let mut moments = moments_by_name(&state.optimizer, &last.description);
     if config.optimizer.average > 0.0 {
-        let weights = state.weights(&last.description).into_iter();
+        let weights = state::by_name(&last.description, &state.weights).into_iter();
         moments.extend(weights.map(|(name, weights)| (format!("{WEIGHT}{name}"), weights)));
     }
     let record = Record {
@@ -208,8 +208,7 @@ fn load(
     let record = record::read(&file)?;
     same_run(&file, config, description, run, &record)?;
     let last = Checkpoint::load(&folder)?;
-    let ((network, of_knots), optimizer) =
-        tensors(&folder, config, description, run, &record, &last)?;
+    let (weights, optimizer) = tensors(&folder, config, description, &record, &last)?;
     let best = best(run.output, &record, &last)?;
     let random = |field: &str, generator: &GeneratorState| {
         generator.generator().ok_or_else(|| {
@@ -227,8 +226,7 @@ fn load(
         description.training.command = last.description.training.command.clone();
     }
     Ok(RunState {
-        network,
-        of_knots,
+        weights: weights.into(),
         optimizer,
         order: random("order", &record.order)?,
         dropout,
@@ -242,15 +240,14 @@ fn load(
     })
 }
 
-/// The network and the state of the optimizer, after their checksums are verified.
+/// The weights and the state of the optimizer, after their checksums are verified.
 fn tensors(
     folder: &Path,
     config: &TrainConfig,
     description: &Description,
-    run: &Run,
     record: &Record,
     last: &Checkpoint,
-) -> Result<(NetworkWithKnots, Optimizer), TrainError> {
+) -> Result<(Vec<Vec<f32>>, Optimizer), TrainError> {
     let file = folder.join(MOMENTS_FILE);
     let bytes =
         fs::read(&file).map_err(|reason| TrainError::File { file: file.clone(), reason })?;
@@ -275,15 +272,14 @@ fn tensors(
     let mut optimizer = Optimizer::new(config, description);
     (optimizer.steps, optimizer.moments) = (record.steps, moments);
     if config.optimizer.average == 0.0 {
-        return Ok((state::network(description, &last.tensors, run.device), optimizer));
+        return Ok((state::in_order(description, &last.tensors), optimizer));
     }
     // The checkpoint contains the running average of the weights.
-    let device = run.device.device().autodiff();
-    let averages = state::in_order(description, &last.tensors, &device);
+    let averages = state::in_order(description, &last.tensors);
     for (moments, average) in optimizer.moments.iter_mut().zip(averages) {
         moments.average = average;
     }
     let weights = Checkpoint::new(last.description.clone(), weights);
     weights.check(&file)?;
-    Ok((state::network(description, &weights.tensors, run.device), optimizer))
+    Ok((state::in_order(description, &weights.tensors), optimizer))
 }

@@ -1,6 +1,6 @@
 //! The state of a run between two batches.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -9,19 +9,17 @@ use super::{
     Epoch, Outcome, TrainConfig, loss_weights::TrivialErrors, movement::Movement,
     optimizer::Optimizer, schedule, validate::Score,
 };
-use crate::model::{DeviceKind, dropout::Dropout, layers::Layers, network::Network};
-use burn::tensor::Device;
+use crate::model::dropout::Dropout;
 use eddy_inference::checkpoint::{
-    Checkpoint, Description, Weights, initial_weights, mix, tensors_of_knot, tensors_of_knots,
+    Checkpoint, Description, Weights, initial_weights, mix, plan::Plan, tensors_of_knot,
+    tensors_of_knots,
 };
 
 /// The state of a run between two batches.
 #[derive(Clone)]
 pub(super) struct RunState {
-    /// With the weights of a step, if there are some for several stiffnesses.
-    pub(super) network: Network,
-    /// The weights for several stiffnesses, `[knots x tensors]`; empty if the network has the only ones.
-    pub(super) of_knots: Vec<Vec<f32>>,
+    /// The weights, [`in_order`].
+    pub(super) weights: Arc<Vec<Vec<f32>>>,
     pub(super) optimizer: Optimizer,
     /// Draws the windows.
     pub(super) order: ChaCha8Rng,
@@ -67,40 +65,32 @@ pub(super) fn weights_at_start(
     }
 }
 
-/// A network, and the weights for several stiffnesses as in [`RunState::of_knots`].
-pub(super) type NetworkWithKnots = (Network, Vec<Vec<f32>>);
-
-/// The network of a run with these weights, and those for several stiffnesses, if there are some.
-pub(super) fn network(
-    description: &Description,
-    tensors: &BTreeMap<String, Weights>,
-    device: DeviceKind,
-) -> NetworkWithKnots {
-    let device = device.device().autodiff();
-    if description.stiffness_knots.is_empty() {
-        return (Network::new(description, tensors, &device), Vec::new());
-    }
-    let first = Network::new(description, &tensors_of_knot(tensors, 0), &device);
-    let of_knots = in_order(description, tensors, &device);
-    (first, of_knots)
-}
-
-/// Tensors in the order of the optimizer, those of all knots if there are several.
+/// Weights in the order of the optimizer: that of the plan, those of each knot one after the other if there are several.
 pub(super) fn in_order(
     description: &Description,
     tensors: &BTreeMap<String, Weights>,
-    device: &Device,
 ) -> Vec<Vec<f32>> {
-    let mut all = Vec::new();
-    let mut list = |tensors: &BTreeMap<String, Weights>| {
-        let mut layers = Layers::new(description, tensors, device);
-        layers.exchange(|_, values| all.push(values.to_vec()));
-    };
+    let plan = Plan::new(description);
     match description.stiffness_knots.len() {
-        0 => list(tensors),
-        knots => (0..knots).for_each(|knot| list(&tensors_of_knot(tensors, knot))),
+        0 => plan.in_order(tensors),
+        knots => {
+            (0..knots).flat_map(|knot| plan.in_order(&tensors_of_knot(tensors, knot))).collect()
+        }
     }
-    all
+}
+
+/// The inverse of [`in_order`].
+pub(super) fn by_name<W: AsRef<[f32]>>(
+    description: &Description,
+    weights: &[W],
+) -> BTreeMap<String, Weights> {
+    let plan = Plan::new(description);
+    let mut sets: Vec<_> =
+        weights.chunks(2 * plan.layers.len()).map(|set| plan.by_name(set)).collect();
+    match description.stiffness_knots.len() {
+        0 => sets.remove(0),
+        _ => tensors_of_knots(&sets),
+    }
 }
 
 impl RunState {
@@ -109,15 +99,12 @@ impl RunState {
         config: &TrainConfig,
         description: &Description,
         start: Option<&Checkpoint>,
-        device: DeviceKind,
     ) -> Self {
         let [order, dropout, _] = seeds(config);
         let initial = weights_at_start(config, description, start);
         let [order, dropout] = [order, dropout].map(ChaCha8Rng::seed_from_u64);
-        let (network, of_knots) = network(description, &initial, device);
         Self {
-            network,
-            of_knots,
+            weights: in_order(description, &initial).into(),
             optimizer: Optimizer::new(config, description),
             order,
             dropout: Dropout::new(config.network.dropout, dropout),
@@ -133,75 +120,28 @@ impl RunState {
 
     /// The weights to validate and save, by name: their running average, if there is one.
     pub(super) fn tensors(&self, description: &Description) -> BTreeMap<String, Weights> {
-        self.by_name(description, |tensor| {
+        let average = |tensor: usize| {
             let moments = self.optimizer.moments.get(tensor)?;
-            Some(moments.average.as_slice()).filter(|average| !average.is_empty())
-        })
-    }
-
-    /// The weights without an average, by name.
-    pub(super) fn weights(&self, description: &Description) -> BTreeMap<String, Weights> {
-        self.by_name(description, |_| None)
-    }
-
-    /// The weights by name, but for tensors, by number, that have other `values`.
-    fn by_name<'a>(
-        &'a self,
-        description: &Description,
-        values: impl Fn(usize) -> Option<&'a [f32]>,
-    ) -> BTreeMap<String, Weights> {
-        let mut layers = self.network.layers().clone();
-        let tensors = layers.count();
-        let mut of_knot = |knot: usize| {
-            layers.exchange(|tensor, current| {
-                let tensor = knot * tensors + tensor;
-                let own = || self.of_knots.get(tensor).map(Vec::as_slice);
-                if let Some(values) = values(tensor).or_else(own) {
-                    current.copy_from_slice(values);
-                }
-            });
-            layers.tensors(description)
+            Some(&moments.average).filter(|average| !average.is_empty())
         };
-        match description.stiffness_knots.len() {
-            0 => of_knot(0),
-            knots => tensors_of_knots(&(0..knots).map(of_knot).collect::<Vec<_>>()),
-        }
+        let weights = self.weights.iter().enumerate();
+        let weights = weights.map(|(tensor, own)| average(tensor).unwrap_or(own));
+        by_name(description, &weights.collect::<Vec<_>>())
     }
 
-    /// The weights without an average, in the order of the optimizer.
-    #[cfg(feature = "cuda")]
-    pub(super) fn in_order(&self) -> Vec<Vec<f32>> {
-        if !self.of_knots.is_empty() {
-            return self.of_knots.clone();
+    /// The weights of a step: the mean of those of the knots, if there are several, with these shares.
+    pub(super) fn weights_of_step(&self, knots: &[f32], shares: &[f32]) -> Arc<Vec<Vec<f32>>> {
+        if knots.is_empty() {
+            return Arc::clone(&self.weights);
         }
-        let mut all = Vec::new();
-        self.network.layers().clone().exchange(|_, values| all.push(values.to_vec()));
-        all
-    }
-
-    /// Replaces the weights by those of a list of all tensors.
-    #[cfg(feature = "cuda")]
-    pub(super) fn set_weights(&mut self, weights: Vec<Vec<f32>>) {
-        if self.of_knots.is_empty() {
-            let layers = self.network.layers_mut();
-            layers.exchange(|tensor, values| values.copy_from_slice(&weights[tensor]));
-        } else {
-            self.of_knots = weights;
-        }
-    }
-
-    /// Gives the network the weights between those of the knots, if there are several.
-    pub(super) fn mix(&mut self, shares: &[f32]) {
-        if self.of_knots.is_empty() {
-            return;
-        }
-        let Self { network, of_knots, .. } = self;
-        let layers = network.layers_mut();
-        let tensors = layers.count();
-        layers.exchange(|tensor, values| {
-            let of_knots = of_knots.iter().skip(tensor).step_by(tensors);
-            mix(values, of_knots.map(Vec::as_slice), shares);
+        let tensors = self.weights.len() / knots.len();
+        let mixed = (0..tensors).map(|tensor| {
+            let mut values = vec![0.0; self.weights[tensor].len()];
+            let of_knots = self.weights.iter().skip(tensor).step_by(tensors);
+            mix(&mut values, of_knots.map(Vec::as_slice), shares);
+            values
         });
+        Arc::new(mixed.collect())
     }
 
     /// Number of completed epochs.

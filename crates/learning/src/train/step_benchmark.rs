@@ -1,9 +1,9 @@
 //! Training steps on synthetic data, for benchmarks: the paper's network, or its core alone. On an NVIDIA GPU, the core alone is the
 //! network with [`GPU_CORE_PARTICLES`] particles, whose other layers take next to no time.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, sync::Arc};
 
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
@@ -13,7 +13,11 @@ use super::{
     LossConfig, OptimizerConfig, TrainConfig, TrainError, batch::Batch, loss,
     loss_weights::LossScale, optimizer::Optimizer, window::Window,
 };
-use crate::model::{DeviceKind, GpuOptions, dropout::Dropout, network::Network};
+use crate::model::{
+    DeviceKind, GpuOptions,
+    dropout::Dropout,
+    network::{Model, Network},
+};
 #[cfg(feature = "cuda")]
 use eddy_dataset::Trajectory;
 use eddy_frames::{Domain, Material, State};
@@ -49,7 +53,11 @@ enum Steps {
 
 /// Steps through burn, all on the same batch.
 struct BurnSteps {
-    network: Network,
+    model: Arc<Model>,
+    /// In the order of the plan.
+    weights: Arc<Vec<Vec<f32>>>,
+    /// With gradients.
+    device: Device,
     task: Task,
     optimizer: Optimizer,
     settings: OptimizerConfig,
@@ -146,7 +154,8 @@ impl BurnSteps {
         let plain = device.device();
         let recorded = plain.clone().autodiff();
         let tensors = weights(&description, &mut random);
-        let network = Network::new(&description, &tensors, &recorded);
+        let model = Model::new(&description);
+        let weights = Arc::new(model.plan.in_order(&tensors));
         let task = match part {
             Part::Core => Task::Core(encodings(
                 [frames, windows, description.sizes.hidden],
@@ -168,35 +177,31 @@ impl BurnSteps {
             }
         };
         let optimizer = Optimizer::new(&config, &description);
-        Self { network, task, optimizer, settings: config.optimizer }
+        Self { model, weights, device: recorded, task, optimizer, settings: config.optimizer }
     }
 
     /// Forward pass, loss, backward pass and optimizer step. Returns the loss before the step.
     fn step(&mut self) -> f32 {
-        let (value, mut gradients) = self.gradients();
+        let (value, gradients) = self.gradients();
         let mut step = self.optimizer.step(self.settings.learning_rate, &self.settings);
-        self.network.layers_mut().update(&mut gradients, |tensor, values, gradient| {
+        let weights = Arc::make_mut(&mut self.weights).iter_mut().zip(&gradients).enumerate();
+        for (tensor, (values, gradient)) in weights.filter(|(_, (_, by))| !by.is_empty()) {
             step.change(tensor, values, gradient);
-        });
+        }
         value
     }
 
-    fn gradients(&self) -> (f32, Gradients) {
+    /// The loss, and its gradients by the weights.
+    fn gradients(&self) -> (f32, Vec<Vec<f32>>) {
+        let network = Network::new(&self.model, &self.weights, &self.device);
         let loss = match &self.task {
             Task::Frame { batch, loss, domain } => {
-                let (predicted, steps) =
-                    loss::unroll(&self.network, batch, 0, &mut Dropout::none());
+                let (predicted, steps) = loss::unroll(&network, batch, 0, &mut Dropout::none());
                 loss::loss(loss, batch, &predicted, &steps, *domain)
             }
-            Task::Core(encodings) => {
-                let layers = &self.network.layers().core;
-                let signal = layers
-                    .iter()
-                    .fold(encodings.clone(), |signal, layer| layer.observe(signal, None).0);
-                signal.square().mean()
-            }
+            Task::Core(encodings) => network.core(encodings.clone()).square().mean(),
         };
-        (loss.clone().inner().into_scalar(), loss.backward())
+        (loss.clone().inner().into_scalar(), network.gradients(&mut loss.backward()))
     }
 }
 
@@ -237,10 +242,15 @@ mod cuda {
     use rand_chacha::ChaCha8Rng;
 
     use super::super::{
-        TrainConfig, TrainError, cuda::Learner, gradients::GradientTask, loss_weights::LossScale,
-        state::RunState, steps::Step, window::Sampler,
+        TrainConfig, TrainError,
+        cuda::Learner,
+        gradients::GradientTask,
+        loss_weights::LossScale,
+        state::{RunState, in_order},
+        steps::Step,
+        window::Sampler,
     };
-    use crate::model::{DeviceKind, network::Network};
+    use crate::model::DeviceKind;
     use eddy_dataset::{Stream, Trajectory};
     use eddy_frames::{Domain, Material, Stamp, State};
     use eddy_inference::{
@@ -278,9 +288,8 @@ mod cuda {
             let frames = config.windows.warm_up + WINDOWS;
             let streams = vec![stream(particles, frames, description.dt, &mut random)];
             let learner = open(&description, &streams)?;
-            let mut state = RunState::new(config, &description, None, DeviceKind::Flex);
-            let device = DeviceKind::Flex.device().autodiff();
-            state.network = Network::new(&description, &weights, &device);
+            let mut state = RunState::new(config, &description, None);
+            state.weights = in_order(&description, &weights).into();
             state.unroll = 1;
             let mut steps = Self { config: config.clone(), description, streams, learner, state };
             steps.with_task(|learner, task, _, state| learner.begin(task, state))?;

@@ -1,6 +1,8 @@
 //! What takes the steps of a run: the network on the run's device through burn, batch by batch, or a GPU, many batches
 //! at once.
 
+use std::sync::Arc;
+
 #[cfg(feature = "cuda")]
 use super::cuda;
 use super::{
@@ -163,26 +165,20 @@ fn step(
     let windows = sampler.batch(task.config.windows.batch, || left, &mut state.order)?;
     let stiffnesses = windows.iter().map(|window| window.stiffness);
     let shares = knots::shares(&task.config.network.stiffness_knots, stiffnesses);
-    state.mix(&shares);
-    let BatchGradient { loss, gradients } =
-        task.compute(&state.network, &windows, &mut state.dropout);
+    let knots = &task.config.network.stiffness_knots;
+    let weights = state.weights_of_step(knots, &shares);
+    let BatchGradient { loss, gradients } = task.compute(&weights, &windows, &mut state.dropout);
+    drop(weights);
     let windows = windows.iter().map(Window::origin).collect();
     if !loss.is_finite() {
         return Ok(Step { loss, learning_rate, gradient_norm: f64::NAN, finite: true, windows });
     }
     let mut step = state.optimizer.step(learning_rate, &task.config.optimizer).measured();
-    if state.of_knots.is_empty() {
-        state.network.layers_mut().exchange(|tensor, values| {
-            if !gradients[tensor].is_empty() {
-                step.change(tensor, values, &gradients[tensor]); // clips it first
-            }
-        });
-    }
-    for (tensor, values) in state.of_knots.iter_mut().enumerate() {
-        let (gradient, share) =
-            (&gradients[tensor % gradients.len()], shares[tensor / gradients.len()]);
+    for (tensor, values) in Arc::make_mut(&mut state.weights).iter_mut().enumerate() {
+        let gradient = &gradients[tensor % gradients.len()];
+        let share = shares[tensor / gradients.len()];
         if !gradient.is_empty() && share > 0.0 {
-            step.change_by_share(tensor, values, gradient, share);
+            step.change_by_share(tensor, values, gradient, share); // clips it first
         }
     }
     Ok(Step { loss, learning_rate, gradient_norm: step.gradient_norm(), finite: true, windows })

@@ -1,5 +1,7 @@
 //! The gradients of frames, last frames first.
 
+use eddy_inference::checkpoint::plan::Stage;
+
 use super::{Training, plan::PARTICLE_THREADS};
 use crate::{
     device::{Pointer, count},
@@ -30,28 +32,35 @@ impl Training {
         let c0 = self.constants.network.channels[0];
         let by_particle = Self::over(most, PARTICLE_THREADS, sheets);
         self.launch(by_particle, TrainOutputGradient { plan, first: count(sheet) })?;
-        let w = self.weight(&self.layout.context);
-        self.launch(
-            self.tiles(batch, self.constants.decode_gradient_bytes()),
-            TrainDecodeGradient { plan, w, first: count(first), frames: count(frames) },
-        )?;
-        let shape = self.sums_on_nodes(c0.div_ceil(4), sheets);
-        self.launch(shape, TrainGatherGradient { plan, first: count(sheet) })?;
-        self.layers_on_nodes(&self.node_layers.backward, sheet, sheets)?;
-        let [threads, of_node] = MEAN_THREADS;
-        let by_node = Self::over(of_node * self.memory.nodes[0], threads, sheets);
-        self.launch(by_node, TrainMeansGradient { plan, first: count(sheet) })?;
-        let [encoder, second] = &self.layout.encoder;
-        self.launch(
-            self.tiles(sheets, self.constants.encode_gradient_bytes()),
-            TrainEncodeGradient {
-                plan,
-                first_matrix: self.weight(encoder),
-                second_matrix: self.weight(second),
-                first: count(sheet),
-                predicted: predicted.into(),
-            },
-        )?;
+        for &stage in self.constants.network.stages.iter().rev() {
+            match stage {
+                Stage::Decode => {
+                    let shape = self.tiles(batch, self.constants.decode_gradient_bytes());
+                    let w = self.weight(&self.layout.context);
+                    let (first, frames) = (count(first), count(frames));
+                    self.launch(shape, TrainDecodeGradient { plan, w, first, frames })?;
+                    let shape = self.sums_on_nodes(c0.div_ceil(4), sheets);
+                    self.launch(shape, TrainGatherGradient { plan, first: count(sheet) })?;
+                }
+                Stage::Convolution(layer) => {
+                    self.layer_on_nodes(self.node_layers.backward[layer], sheet, sheets)?;
+                }
+                Stage::ToNodes => {
+                    let [threads, of_node] = MEAN_THREADS;
+                    let by_node = Self::over(of_node * self.memory.nodes[0], threads, sheets);
+                    self.launch(by_node, TrainMeansGradient { plan, first: count(sheet) })?;
+                }
+                Stage::Encode => {
+                    let [first_matrix, second_matrix] =
+                        self.layout.encoder.each_ref().map(|matrix| self.weight(matrix));
+                    let shape = self.tiles(sheets, self.constants.encode_gradient_bytes());
+                    let (first, predicted) = (count(sheet), predicted.into());
+                    let kernel =
+                        TrainEncodeGradient { plan, first_matrix, second_matrix, first, predicted };
+                    self.launch(shape, kernel)?;
+                }
+            }
+        }
         if predicted && self.store.links.is_some() {
             self.launch(by_particle, TrainShapeGradient { plan })?;
         }

@@ -1,5 +1,7 @@
 //! Frames through the network, and the loss.
 
+use eddy_inference::checkpoint::plan::Stage;
+
 use super::{Training, plan::PARTICLE_THREADS};
 use crate::{
     device::{Pointer, Shape, count},
@@ -43,24 +45,30 @@ impl Training {
         let c0 = self.constants.network.channels[0];
         let cells = Shape::new(1, sheets, CELL_THREADS);
         self.launch(cells, TrainCells { plan, first: count(sheet) })?;
-        let [encoder, second] = &self.layout.encoder;
-        self.launch(
-            self.tiles(sheets, self.constants.encode_bytes()),
-            TrainEncode {
-                plan,
-                first_matrix: self.transposed(encoder),
-                second_matrix: self.transposed(second),
-                first: count(sheet),
-            },
-        )?;
-        let shape = self.sums_on_nodes(c0.div_ceil(4) + 1, sheets);
-        self.launch(shape, TrainToNodes { plan, first: count(sheet) })?;
-        self.layers_on_nodes(&self.node_layers.forward, sheet, sheets)?;
-        let w = self.transposed(&self.layout.context);
-        self.launch(
-            self.tiles(batch, self.constants.decode_bytes()),
-            TrainDecode { plan, w, first: count(first), frames: count(frames) },
-        )?;
+        for &stage in &self.constants.network.stages {
+            match stage {
+                Stage::Encode => {
+                    let [first_matrix, second_matrix] =
+                        self.layout.encoder.each_ref().map(|matrix| self.transposed(matrix));
+                    let shape = self.tiles(sheets, self.constants.encode_bytes());
+                    let first = count(sheet);
+                    self.launch(shape, TrainEncode { plan, first_matrix, second_matrix, first })?;
+                }
+                Stage::ToNodes => {
+                    let shape = self.sums_on_nodes(c0.div_ceil(4) + 1, sheets);
+                    self.launch(shape, TrainToNodes { plan, first: count(sheet) })?;
+                }
+                Stage::Convolution(layer) => {
+                    self.layer_on_nodes(self.node_layers.forward[layer], sheet, sheets)?;
+                }
+                Stage::Decode => {
+                    let shape = self.tiles(batch, self.constants.decode_bytes());
+                    let w = self.transposed(&self.layout.context);
+                    let (first, frames) = (count(first), count(frames));
+                    self.launch(shape, TrainDecode { plan, w, first, frames })?;
+                }
+            }
+        }
         let shape = Self::over(most, PARTICLE_THREADS, sheets);
         self.launch(shape, TrainAdvance { plan, first: count(sheet) })
     }

@@ -168,41 +168,16 @@ __device__ __forceinline__ float node_slope(const Stencil& own, int node, int ax
 __device__ __forceinline__ Body features_gradient(const Plan& s, int sheet, int b, u32 p, const float* by) {
   const Body* bodies = s.states + particle_row(s, sheet, 0);
   const Body body = bodies[p];
-  const float unit = 1.0f / s.unit;
-  Body found;
+  // The next frame compares its velocity with the one that the ballistic step expects now.
+  float* by_expected = s.by_expected + particle_row(s, b, p) * DIM;
+  float by_coming[DIM];
 #pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    const Fall fall = ballistic(s, body, a);
-    float* by_expected = s.by_expected + particle_row(s, b, p) * DIM + a;
-    found.v[a] = unit * (by[a] + by[DIM + a] - (fall.moves ? 0.0f : by[2 * DIM + a]));
-    // The next frame compares its velocity with the one that the ballistic step expects now.
-    if (fall.moves) found.v[a] += *by_expected;
-    *by_expected = -unit * by[DIM + a];
-    found.x[a] = 0.0f;
-    const float sides[2] = {body.x[a] - s.wall_lower[a], s.wall_upper[a] - body.x[a]};
-#pragma unroll
-    for (int side = 0; side < 2; side++) {
-      // The features decrease with the distance, which decreases with the coordinate at the upper wall.
-      if (!(sides[side] > 0.0f)) continue;
-      const float near = exponential(sides[side] * (-1.0f / CONTACT_SCALE)), far = exponential(sides[side] * (-1.0f / BODY_SCALE));
-      const float sum = by[3 * DIM + DIM * side + a] * near / CONTACT_SCALE + by[5 * DIM + DIM * side + a] * far / BODY_SCALE;
-      found.x[a] += side ? sum : -sum;
-    }
-  }
+  for (int a = 0; a < DIM; a++) by_coming[a] = by_expected[a];
+  const Body found = motion_features_gradient(s, body, by, by_coming, by_expected);
   const u32* first = first_of(s, s.link_first, b);
   float* by_shape = s.by_shape + particle_row(s, b, p) * (DIM * DIM + DIM);
   for (int i = 0; i < DIM * DIM + DIM; i++) by_shape[i] = 0.0f;
-  if (!first || first[p] == first[p + 1]) return found;
-  const Deformation d = deformation(s.links, first[p], first[p + 1], bodies, body);
-  float shape[SHAPE_FEATURES], g[SHAPE_FEATURES];
-  scaled_shape(d, shape);
-  for (int i = 0; i < SHAPE_FEATURES; i++)
-    g[i] = fabsf(shape[i]) > SHAPE_LIMIT ? 0.0f : by[SHAPE_FROM + i] * (i < 3 ? STRAIN_SCALE : BEND_SCALE);
-  for (int c = 0; c < 2; c++) {
-    by_shape[c] = 2.0f * g[0] * d.f[0][c] + g[2] * d.f[1][c];
-    by_shape[2 + c] = 2.0f * g[1] * d.f[1][c] + g[2] * d.f[0][c];
-    by_shape[4 + c] = g[3 + c];
-  }
+  if (first && first[p] != first[p + 1]) rest_shape_gradient(s.links, first[p], first[p + 1], bodies, body, by + SHAPE_FROM, by_shape);
   return found;
 }
 

@@ -187,10 +187,8 @@ extern "C" __global__ void __launch_bounds__(SUM_THREADS) train_to_nodes(const P
     const u32 across = s.across[a];
     const int at = (int)(a + 1 < DIM ? rest % across : rest) - ORIGIN;
     rest /= across;
-    const float place = s.lower[a] + multiply_rounded((float)at, s.width);
-    const float sides[2] = {place - s.wall_lower[a], s.wall_upper[a] - place};
 #pragma unroll
-    for (int side = 0; side < 2; side++) to[C0 + 1 + DIM * side + a] = exponential(-fmaxf(sides[side], 0.0f) / s.width);
+    for (int side = 0; side < 2; side++) to[C0 + 1 + DIM * side + a] = node_proximity(s, at, a, side);
   }
 }
 // The gradient by what particles gather: sums over the particles around each node. grid (ceil(nodes C04 / 4 / WARP), sheets), block

@@ -211,7 +211,7 @@ mod tests {
 
     use super::*;
     use eddy_inference::checkpoint::{
-        Architecture, Core, GridOptions, Sizes, initial_weights, layout::linear_layers,
+        Architecture, Core, GridOptions, Sizes, initial_weights, plan::Plan,
     };
 
     proptest! {
@@ -234,7 +234,7 @@ mod tests {
             prop_assert_eq!(packing.unpack(&packed), weights.clone());
             let ordered = packing.unpack_ordered(&packed);
             prop_assert_eq!(packing.pack_ordered(ordered.iter().map(Vec::as_slice)), packed);
-            for (layer, pair) in linear_layers(&description).iter().zip(ordered.chunks(2)) {
+            for (layer, pair) in Plan::new(&description).layers.iter().zip(ordered.chunks(2)) {
                 let (weight, bias) = (&weights[&layer.weight].values, &weights[&layer.bias].values);
                 prop_assert_eq!(&pair[1], bias);
                 let transposed: Vec<f32> = (0..layer.input)

@@ -20,7 +20,7 @@ const SUM_WARPS: usize = 6;
 /// Nodes and columns of a block.
 const TILE: [usize; 2] = [16, 8];
 
-/// The layers of both passes, in their order.
+/// The layers of both passes, in the order of the forward pass.
 pub(super) struct NodeLayers {
     pub(super) forward: Vec<NodeLayer>,
     pub(super) backward: Vec<NodeLayer>,
@@ -110,25 +110,21 @@ impl NodeLayers {
                 unused: 0,
             });
         }
-        backward.reverse();
         Self { forward, backward }
     }
 }
 
 impl Training {
-    /// The layers of a pass on `sheets` sheets from `first` on.
-    pub(super) fn layers_on_nodes(
+    /// A layer of a pass on `sheets` sheets from `first` on.
+    pub(super) fn layer_on_nodes(
         &self,
-        pass: &[NodeLayer],
+        layer: NodeLayer,
         first: usize,
         sheets: usize,
     ) -> Result<()> {
-        for &layer in pass {
-            let blocks = layer.blocks(self.memory.nodes[layer.level as usize]);
-            let shape = Shape::new(blocks, sheets, NODE_LAYER_THREADS);
-            self.launch(shape, TrainLayer { plan: self.plan(), layer, first: count(first) })?;
-        }
-        Ok(())
+        let blocks = layer.blocks(self.memory.nodes[layer.level as usize]);
+        let shape = Shape::new(blocks, sheets, NODE_LAYER_THREADS);
+        self.launch(shape, TrainLayer { plan: self.plan(), layer, first: count(first) })
     }
 
     /// Blocks for sums over the particles around nodes, so many numbers a node, 32 a block.

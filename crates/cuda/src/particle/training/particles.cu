@@ -31,30 +31,17 @@ __device__ __forceinline__ const u32* first_of(const Plan& s, const u32* first, 
   const Window& window = window_of(s, b);
   return first ? first + (size_t)(2 * window.stream + window.mirrored) * (s.most + 1) : nullptr;
 }
-// The features of a particle in a frame (`model/features.rs` of eddy-learning).
-#define SHAPE_FROM (7 * DIM)
+// The features of a particle in a frame.
 __device__ __forceinline__ void features_of(const Plan& s, int sheet, int b, u32 p, float* own) {
   const Body* bodies = s.states + particle_row(s, sheet, 0);
   const Body body = bodies[p];
+  float expected[DIM];
 #pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    const float expected = sheet < s.batch ? body.v[a] : ballistic(s, s.states[particle_row(s, sheet - s.batch, p)], a).v;
-    const Fall fall = ballistic(s, body, a);
-    own[a] = body.v[a] / s.unit;
-    own[DIM + a] = (body.v[a] - expected) / s.unit;
-    own[2 * DIM + a] = (fall.v - fall.free) / s.unit;
-    const float sides[2] = {body.x[a] - s.wall_lower[a], s.wall_upper[a] - body.x[a]};
-#pragma unroll
-    for (int side = 0; side < 2; side++) {
-      const float distance = sides[side] > 0.0f ? sides[side] : 0.0f;
-      own[3 * DIM + DIM * side + a] = exponential(distance * (-1.0f / CONTACT_SCALE));
-      own[5 * DIM + DIM * side + a] = exponential(distance * (-1.0f / BODY_SCALE));
-    }
-  }
+  for (int a = 0; a < DIM; a++) expected[a] = sheet < s.batch ? body.v[a] : ballistic(s, s.states[particle_row(s, sheet - s.batch, p)], a).v;
+  motion_features(s, body, expected, own);
   rest_shape(first_of(s, s.link_first, b), s.links, bodies, p, body, own + SHAPE_FROM);
   const u32 stream = window_of(s, b).stream;
-  own[SHAPE_FROM + SHAPE_FEATURES + s.material[(size_t)stream * s.most + p]] = 1.0f;
-  if (F > SHAPE_FROM + SHAPE_FEATURES + MATERIALS) own[SHAPE_FROM + SHAPE_FEATURES + MATERIALS] = s.stiffness[stream];
+  matter_features(s.material[(size_t)stream * s.most + p], s.stiffness[stream], own);
 }
 
 // Features and encoder of sheets from `first` on. Matrices are transposed. grid (ceil(most / (LEARN_WARPS WARP_ROWS)), sheets), block

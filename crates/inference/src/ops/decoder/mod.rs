@@ -15,9 +15,9 @@
 //! What is not a number stays so in predictions, where it is reported; in training it becomes the lower limit, so that a window
 //! which diverges has a finite loss and no gradient.
 //!
-//! This file has both on processors, the particle model's with its gradient, `device.cu` the particle model's on GPUs; the frame
-//! model's is `frame/motion.cu` of `eddy-cuda`, beside the kernels that take its constants as an argument. The definitions in burn
-//! are in `model/particle_model.rs` and `model/frame_model.rs` of `eddy-learning`.
+//! This file has both on processors, with their gradients, `device.cu` the particle model's on GPUs; the frame
+//! model's is `frame/motion.cu` of `eddy-cuda`, beside the kernels that take its constants as an argument. The definition in burn
+//! is `Definition::advance` in `model/definition.rs` of `eddy-learning`.
 
 use super::ballistic::{Ballistic, Motion, clamped};
 use crate::{
@@ -42,14 +42,14 @@ pub struct ResidualStep {
 }
 
 /// The gradients by a particle's state and by the outputs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StepGradient {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepGradient<const O: usize> {
     /// By the position.
     pub position: [f32; 2],
     /// By the velocity.
     pub velocity: [f32; 2],
     /// By the outputs.
-    pub output: [f32; 4],
+    pub output: [f32; O],
 }
 
 impl ResidualStep {
@@ -120,12 +120,12 @@ impl ResidualStep {
         velocity: [f32; 2],
         output: &[f32; 4],
         (by_place, by_speed): (&[f32; 2], &[f32; 2]),
-    ) -> StepGradient {
+    ) -> StepGradient<4> {
         let Self { ballistic, velocity_unit: unit, slowest, fastest } = self;
         let fallen = ballistic.step(position, velocity);
         let (place, speed) = self.unlimited(&fallen, output);
         let moving = ballistic.moving(position, velocity);
-        let mut by = StepGradient::default();
+        let mut by = StepGradient { position: [0.0; 2], velocity: [0.0; 2], output: [0.0; 4] };
         for axis in 0..2 {
             let within = |x: f32, low: f32, high: f32| x >= low && x <= high;
             let inside = within(place[axis], ballistic.lower[axis], ballistic.upper[axis]);
@@ -187,6 +187,39 @@ impl Decoded {
                 (position, [0, 1].map(|axis| (position[axis] - x[axis]) / dt))
             }
         }
+    }
+    /// The gradients from those by the next state. None passes a wall that stops the ballistic step.
+    pub fn gradient(
+        &self,
+        x: [f32; 2],
+        v: [f32; 2],
+        (by_place, by_speed): (&[f32; 2], &[f32; 2]),
+    ) -> StepGradient<2> {
+        let dt = self.ballistic.dt;
+        let moving = self.ballistic.moving(x, v);
+        let mut by = StepGradient { position: [0.0; 2], velocity: [0.0; 2], output: [0.0; 2] };
+        for axis in 0..2 {
+            let (by_place, by_speed) = (by_place[axis], by_speed[axis]);
+            match self.output {
+                FrameOutput::Displacement => {
+                    by.position[axis] = by_place;
+                    by.velocity[axis] = by_speed + dt * by_place;
+                    by.output[axis] = by_speed + dt * by_place;
+                }
+                FrameOutput::Residual => {
+                    if moving[axis] {
+                        by.position[axis] = by_place;
+                        by.velocity[axis] = by_speed + dt * by_place;
+                    }
+                    by.output[axis] = by_speed + 0.5 * dt * by_place;
+                }
+                FrameOutput::Position => {
+                    by.position[axis] = -by_speed / dt;
+                    by.output[axis] = self.deviation[axis] * (by_place + by_speed / dt);
+                }
+            }
+        }
+        by
     }
 }
 

@@ -1,4 +1,4 @@
-//! A linear layer, y = x W + b with x `[R, I]`, W `[I, O]`, b `[O]`, optionally followed by ReLU.
+//! A linear layer, y = x W + b with x `[R, I]`, W `[I, O]`, b `[O]`, optionally followed by an activation function.
 //!
 //! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/matrix` and `kernels/narrow`.
 //! 2. `packed`, `rows`: for predictions, weights in the order in which they are read, and blocks of rows whose sums stay in
@@ -9,10 +9,13 @@
 pub(crate) mod packed;
 pub(crate) mod rows;
 
-use crate::kernels::{
-    activation::{relu_gradient, relu_in_place},
-    matrix::{Accumulate, Matrix, multiply, product, sum_rows},
-    narrow::{Panels, Rows, add_products, matrix_gradient, products},
+use crate::{
+    checkpoint::Activation,
+    kernels::{
+        activation::{activate, gradient_before},
+        matrix::{Accumulate, Matrix, multiply, product, sum_rows},
+        narrow::{Panels, Rows, add_products, matrix_gradient, products},
+    },
 };
 
 /// The layers of a tile of rows on GPUs.
@@ -28,8 +31,8 @@ pub struct Linear<'a> {
     pub weight: &'a [f32],
     /// b, `[O]`.
     pub bias: &'a [f32],
-    /// Whether ReLU follows.
-    pub rectify: bool,
+    /// What follows, if anything does.
+    pub activation: Option<Activation>,
 }
 
 /// Gradients of a layer; those that were not requested are empty.
@@ -48,24 +51,28 @@ impl Linear<'_> {
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
         let matrix = self.matrix();
         let [inputs, _] = matrix.shape();
-        if self.is_narrow() {
+        if let Some(rectify) = self.narrow() {
             let rows = Rows::plain(input, inputs);
-            return products(rows, &Panels::new(matrix), Some(self.bias), self.rectify);
+            return products(rows, &Panels::new(matrix), Some(self.bias), rectify);
         }
-        let rows = input.len() / inputs;
-        let mut output = self.bias.repeat(rows);
-        multiply(Matrix::new(input, rows, inputs), matrix, &mut output, Accumulate::Add);
-        if self.rectify {
-            relu_in_place(&mut output);
-        }
+        let mut output = self.bias.repeat(input.len() / inputs);
+        self.add(input, &mut output);
         output
     }
 
-    /// Adds x W to y, without b: for a layer whose inputs are in two lists.
+    /// Adds x W to y, without b, before the activation: for a layer whose inputs are in two lists.
     pub fn add(&self, input: &[f32], output: &mut [f32]) {
         let matrix = self.matrix();
-        let rows = Rows::plain(input, matrix.shape()[0]);
-        add_products(rows, &Panels::new(matrix), self.rectify, output);
+        let [inputs, _] = matrix.shape();
+        if let Some(rectify) = self.narrow() {
+            let rows = Rows::plain(input, inputs);
+            return add_products(rows, &Panels::new(matrix), rectify, output);
+        }
+        let input = Matrix::new(input, input.len() / inputs, inputs);
+        multiply(input, matrix, output, Accumulate::Add);
+        if let Some(activation) = self.activation {
+            activate(activation, output);
+        }
     }
 
     /// The gradients from `gradient`, that by y, `[R, O]`.
@@ -77,7 +84,7 @@ impl Linear<'_> {
         by_input: bool,
         by_weight: bool,
     ) -> Gradients {
-        let gradient = relu_gradient(self.rectify, output, gradient);
+        let gradient = gradient_before(self.activation, output, gradient);
         let mut by = Gradients::new(&gradient, self.bias.len());
         let matrix = self.matrix();
         let [inputs, outputs] = matrix.shape();
@@ -104,6 +111,15 @@ impl Linear<'_> {
 
     fn matrix(&self) -> Matrix<'_> {
         Matrix::new(self.weight, self.weight.len() / self.bias.len(), self.bias.len())
+    }
+
+    /// Whether ReLU follows, if the products with the activation are those of [`narrow`](crate::kernels::narrow).
+    fn narrow(&self) -> Option<bool> {
+        match self.activation {
+            None if self.is_narrow() => Some(false),
+            Some(Activation::Relu) if self.is_narrow() => Some(true),
+            _ => None,
+        }
     }
 
     fn is_narrow(&self) -> bool {

@@ -1,27 +1,57 @@
-//! The particle model's input features (listed in `model/features.rs` of `eddy-learning`) for a block of slots.
+//! The particle model's input features; pairs are along x and y:
+//!
+//! | inputs | feature |
+//! |---|---|
+//! | 2 | velocity, in units of u ([`velocity_unit`]) |
+//! | 2 | velocity residual: velocity minus the one that the ballistic step expected one frame ago; 0 at first; likewise |
+//! | 2 | wall impulse: velocity change at a wall in the coming ballistic step; likewise |
+//! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
+//! | 5 | shape of solids ([`rest_shape`](crate::kernels::rest_shape)): strain xx, yy, xy, bend along x and y |
+//! | 4 | material, one-hot |
+//! | 1 | stiffness of the stream, [`stiffness_feature`](crate::engine::scales::stiffness_feature); only of a network that is conditioned on it |
+//!
+//! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
+//! in the domain, which may be larger than in training.
+//!
+//! 1. This file: the features of a block of particles, for predictions and for training.
+//! 2. `gradient`: all particles of some frames, for training, with the gradients.
+//! 3. `frame`: the features of the frame model.
+//! 4. `device.cu`, [`DEVICE`]: those of the particle model on GPUs, with the gradients.
+//!
+//! The definition in burn is `model/features.rs` of `eddy-learning`.
+
+mod frame;
+mod gradient;
+
+pub use frame::FrameFeatures;
+pub(crate) use frame::STATE;
+pub use gradient::{Gradients, Trajectories};
 
 use pulp::Simd;
 
 use super::{
-    Ballistic,
-    scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
+    ballistic::{Ballistic, Motion},
+    linear::packed::{load, store},
 };
 use crate::{
     checkpoint::{Description, layout::particle_features},
+    engine::scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
     kernels::{
         math::exp,
         rest_shape::{RestShape, SHAPE_FEATURES},
     },
-    ops::linear::packed::{load, store},
 };
 use eddy_frames::{Domain, Material};
+
+/// The features of the particle model on GPUs.
+pub const DEVICE: &str = include_str!("device.cu");
 
 /// Proximity to four walls at two scales.
 const PROXIMITIES: usize = 8;
 
 /// Columns from which the features are computed, x and y of each: position, velocity, expected velocity, and position and
 /// velocity after the ballistic step.
-pub(super) const STATE_COLUMNS: usize = 10;
+pub(crate) const STATE_COLUMNS: usize = 10;
 
 /// First features of wall proximity, shape of solids, and material.
 const WALLS: usize = 6;
@@ -30,35 +60,33 @@ const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
 /// The stiffness of the stream, if the network is conditioned on it.
 const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
-/// Position and velocity of a particle.
-pub(super) use crate::ops::ballistic::Motion;
-
 /// Scale of the features, and the ballistic step they refer to.
-#[derive(Debug)]
-pub(super) struct Features {
+#[derive(Clone, Debug)]
+pub struct Features {
     /// In the checkpoint's domain.
     ballistic: Ballistic,
     domain: Domain,
     /// F.
-    pub(super) count: usize,
+    pub(crate) count: usize,
     /// Unit of velocities (domain lengths per second).
-    pub(super) velocity_unit: f32,
+    pub(crate) velocity_unit: f32,
 }
 
-/// The particles before the network, in the order of [`StreamParticles::order`](super::hidden_state::StreamParticles::order).
-pub(super) struct ParticleInputs<'a> {
-    pub(super) position: &'a [[f32; 2]],
-    pub(super) velocity: &'a [[f32; 2]],
+/// The particles of a frame.
+pub(crate) struct ParticleInputs<'a> {
+    pub(crate) position: &'a [[f32; 2]],
+    pub(crate) velocity: &'a [[f32; 2]],
     /// The ballistic step in the frame's domain.
-    pub(super) ballistic: Ballistic,
-    pub(super) material: &'a [u8],
-    pub(super) rest: &'a RestShape,
+    pub(crate) ballistic: Ballistic,
+    pub(crate) material: &'a [u8],
+    pub(crate) rest: &'a RestShape,
     /// The feature of the stream's stiffness, if the network is conditioned on it.
-    pub(super) stiffness: Option<f32>,
+    pub(crate) stiffness: Option<f32>,
 }
 
 impl Features {
-    pub(super) fn new(description: &Description) -> Self {
+    /// Of the described network.
+    pub fn new(description: &Description) -> Self {
         Self {
             ballistic: Ballistic::new(description),
             domain: description.domain,
@@ -69,7 +97,7 @@ impl Features {
 
     /// The ballistic step in a domain of any size: walls keep the distance from its corners that they have in the
     /// checkpoint's domain.
-    pub(super) fn ballistic(&self, domain: &Domain) -> Ballistic {
+    pub(crate) fn ballistic(&self, domain: &Domain) -> Ballistic {
         self.ballistic.for_domain(&self.domain, domain)
     }
 
@@ -77,7 +105,7 @@ impl Features {
     /// `[STATE_COLUMNS, length]`, for the given particles. `expected_velocity` is the velocity that the ballistic step
     /// predicted for a particle one frame ago.
     #[inline(always)]
-    pub(super) fn fill<S: Simd>(
+    pub(crate) fn fill<S: Simd>(
         &self,
         simd: S,
         inputs: &ParticleInputs,
@@ -165,7 +193,7 @@ impl Features {
 
 /// The motion of a particle after the ballistic step, from the `states` of [`Features::fill`].
 #[inline(always)]
-pub(super) fn ballistic_motion(states: &[f32], length: usize, place: usize) -> Motion {
+pub(crate) fn ballistic_motion(states: &[f32], length: usize, place: usize) -> Motion {
     let of = |column: usize| states[column * length + place];
     ([of(6), of(7)], [of(8), of(9)])
 }

@@ -1,0 +1,238 @@
+//! Operations on particles: features, the frame model's pooling, and the step to the next frame.
+
+use rayon::prelude::*;
+
+use super::{Backward, Kept, Operate, exactly};
+use crate::model::{network::Model, state::StaticInputs};
+use eddy_inference::{
+    checkpoint::{Activation, Architecture},
+    kernels::encoder::{Encoder, Means},
+    ops::{
+        ballistic::Ballistic,
+        decoder::StepGradient,
+        features::{Features, FrameFeatures, Trajectories},
+    },
+};
+
+/// Particles of a task.
+const TASK: usize = 1 << 10;
+
+/// Pairs along x and y.
+fn pairs(list: &[f32]) -> &[[f32; 2]] {
+    list.as_chunks().0
+}
+
+/// The velocities that the ballistic step expects.
+pub(super) struct Expect<'a>(pub(super) &'a Ballistic);
+
+impl Operate for Expect<'_> {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        let [position, velocity] = exactly(read).map(pairs);
+        let states = position.iter().zip(velocity);
+        let expected: Vec<_> = states.map(|(x, v)| self.0.step(*x, *v).1).collect();
+        (expected.into_flattened(), Kept::NOTHING)
+    }
+
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { read, gradient, .. } = of;
+        let [position, velocity] = exactly(read).map(pairs);
+        let rows = position.iter().zip(velocity).zip(pairs(gradient));
+        let by: Vec<_> = rows
+            .map(|((x, v), by)| {
+                let moving = self.0.moving(*x, *v);
+                [0, 1].map(|axis| if moving[axis] { by[axis] } else { 0.0 })
+            })
+            .collect();
+        vec![Vec::new(), by.into_flattened()]
+    }
+}
+
+/// The features of the particle model.
+pub(super) struct ParticleInputs<'a> {
+    pub(super) features: &'a Features,
+    pub(super) fixed: &'a StaticInputs,
+}
+
+impl ParticleInputs<'_> {
+    /// Calls `work` with the particles. Each frame's velocities are compared with those expected one frame earlier.
+    fn with<T>(&self, read: &[&[f32]], work: impl FnOnce(&Trajectories<'_>) -> T) -> T {
+        let [position, velocity, first, coming] = exactly(read);
+        let expected = [first, &coming[..coming.len() - first.len()]].concat();
+        let StaticInputs { material, rest, stiffness, windows } = self.fixed;
+        work(&Trajectories {
+            position: pairs(position),
+            velocity: pairs(velocity),
+            expected: pairs(&expected),
+            material,
+            rest,
+            stiffness: stiffness.as_deref(),
+            windows: *windows,
+        })
+    }
+}
+
+impl Operate for ParticleInputs<'_> {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        (self.with(read, |bodies| self.features.forward(bodies)), Kept::NOTHING)
+    }
+
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { read, written: features, gradient, .. } = of;
+        let by = self.with(read, |bodies| self.features.backward(bodies, features, gradient));
+        let [_, _, first, coming] = exactly(read);
+        let mut by_coming = by.expected.into_flattened();
+        let by_first = by_coming.drain(..first.len()).collect();
+        by_coming.resize(coming.len(), 0.0);
+        vec![by.position.into_flattened(), by.velocity.into_flattened(), by_first, by_coming]
+    }
+}
+
+/// The features of the frame model.
+pub(super) struct FrameInputs<'a> {
+    pub(super) features: &'a FrameFeatures,
+    pub(super) fixed: &'a StaticInputs,
+}
+
+impl Operate for FrameInputs<'_> {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        let [position, velocity] = exactly(read).map(pairs);
+        (self.features.forward(position, velocity, &self.fixed.material), Kept::NOTHING)
+    }
+
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { gradient, .. } = of;
+        self.features.backward(gradient).map(Vec::into_flattened).into()
+    }
+}
+
+/// The mean over the particles of a frame of a linear layer with an activation; keeps sums of slopes.
+pub(super) struct MeanOfLinear {
+    pub(super) activation: Activation,
+    /// N.
+    pub(super) particles: usize,
+}
+
+impl MeanOfLinear {
+    /// Its layer, of F features.
+    fn encoder<'a, const F: usize>(&self, [weight, bias]: [&'a [f32]; 2]) -> Encoder<'a, F> {
+        Encoder { weight, bias, particles: self.particles }
+    }
+}
+
+impl Operate for MeanOfLinear {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        let [points, weight, bias] = exactly(read);
+        let Means { means, slopes } = match weight.len() / bias.len() {
+            5 => self.encoder::<5>([weight, bias]).forward(self.activation, points),
+            8 => self.encoder::<8>([weight, bias]).forward(self.activation, points),
+            other => unreachable!("{other} features: the material is one input or four"),
+        };
+        (means, Kept::Numbers(slopes))
+    }
+
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { read, kept, gradient, wanted, .. } = of;
+        let [points, weight, bias] = exactly(read);
+        let (activation, slopes, wanted) = (self.activation, kept.numbers(), wanted[0]);
+        let layer = [weight, bias];
+        let by = match weight.len() / bias.len() {
+            5 => self.encoder::<5>(layer).backward(activation, points, slopes, gradient, wanted),
+            _ => self.encoder::<8>(layer).backward(activation, points, slopes, gradient, wanted),
+        };
+        vec![by.points, by.weight, by.bias]
+    }
+}
+
+/// The largest numbers over the particles of a frame.
+pub(super) struct Max {
+    /// N.
+    pub(super) particles: usize,
+    /// Numbers of a particle.
+    pub(super) width: usize,
+}
+
+impl Operate for Max {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        let [points] = exactly(read);
+        let largest = points.par_chunks(self.particles * self.width).flat_map_iter(|points| {
+            let mut largest = points[..self.width].to_vec();
+            for point in points.chunks_exact(self.width) {
+                largest.iter_mut().zip(point).for_each(|(largest, x)| *largest = largest.max(*x));
+            }
+            largest
+        });
+        (largest.collect(), Kept::NOTHING)
+    }
+
+    /// To the first particle that has the largest number.
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { read, written: largest, gradient, .. } = of;
+        let [points] = exactly(read);
+        let mut by = vec![0.0; points.len()];
+        let window = self.particles * self.width;
+        let frames = largest.par_chunks(self.width).zip(gradient.par_chunks(self.width));
+        let frames = by.par_chunks_mut(window).zip(points.par_chunks(window)).zip(frames);
+        frames.for_each(|((by, points), (largest, gradient))| {
+            for (column, (largest, gradient)) in largest.iter().zip(gradient).enumerate() {
+                let mut column_of = points.iter().skip(column).step_by(self.width);
+                if let Some(particle) = column_of.position(|x| x == largest) {
+                    by[particle * self.width + column] = *gradient;
+                }
+            }
+        });
+        vec![by]
+    }
+}
+
+/// The next positions and velocities, `[T R, 4]`.
+pub(super) struct Advance<'a>(pub(super) &'a Model);
+
+impl Operate for Advance<'_> {
+    fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
+        let [position, velocity, output] = exactly(read);
+        let Model { step, decoded, description, .. } = self.0;
+        let states = pairs(position).par_iter().zip(pairs(velocity)).with_min_len(TASK);
+        let next: Vec<_> = match description.architecture {
+            Architecture::Frame => {
+                let rows = states.zip(output.as_chunks::<2>().0);
+                rows.map(|((x, v), o)| decoded.next(*x, *v, *o)).map(joined).collect()
+            }
+            Architecture::Particle => {
+                let rows = states.zip(output.as_chunks::<4>().0);
+                rows.map(|((x, v), o)| step.next_in_training(*x, *v, o)).map(joined).collect()
+            }
+        };
+        (next.into_flattened(), Kept::NOTHING)
+    }
+
+    fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
+        let &Backward { read, gradient, .. } = of;
+        let [position, velocity, output] = exactly(read);
+        let Model { step, decoded, description, .. } = self.0;
+        let states = pairs(position).par_iter().zip(pairs(velocity));
+        let rows = states.zip(pairs(gradient).par_chunks_exact(2)).with_min_len(TASK);
+        match description.architecture {
+            Architecture::Frame => {
+                split(rows.map(|((x, v), by)| decoded.gradient(*x, *v, (&by[0], &by[1]))))
+            }
+            Architecture::Particle => {
+                let rows = rows.zip(output.as_chunks::<4>().0);
+                split(rows.map(|(((x, v), by), o)| step.gradient(*x, *v, o, (&by[0], &by[1]))))
+            }
+        }
+    }
+}
+
+/// A position and a velocity side by side.
+fn joined(([x, y], [vx, vy]): ([f32; 2], [f32; 2])) -> [f32; 4] {
+    [x, y, vx, vy]
+}
+
+/// The gradients of all particles by position, velocity and outputs.
+fn split<const O: usize>(
+    all: impl IndexedParallelIterator<Item = StepGradient<O>>,
+) -> Vec<Vec<f32>> {
+    let all: Vec<_> = all.collect();
+    let part = |of: fn(&StepGradient<O>) -> &[f32]| all.iter().flat_map(of).copied().collect();
+    vec![part(|by| &by.position), part(|by| &by.velocity), part(|by| &by.output)]
+}
