@@ -1,8 +1,8 @@
 //! A described network as a list of operations, in the order in which they are computed.
 //!
-//! All that run a network follow this list: the definition in burn and the passes of training on processors (`eddy-learning`) one
-//! operation after the other; the streaming [`engine`](crate::engine) and the kernels for GPUs (`eddy-cuda`) in stages, each of
-//! which has the operations that stay in a block of particles or nodes.
+//! The definition in burn and the passes of training on processors (`eddy-learning`) compute it one operation after the other. The
+//! streaming [`engine`](crate::engine), and for the particle model the kernels for GPUs (`eddy-cuda`), run it in stages, each of which
+//! has the operations that stay in a block of particles or nodes. The frame model on GPUs has kernels of its own order.
 //!
 //! An operation reads and writes lists of rows. Each list is written once; whether two of them share memory is up to who runs them.
 
@@ -38,13 +38,13 @@ pub const EXPECTED: usize = 2;
 /// Rows of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct List {
-    /// What has a row each.
+    /// What they belong to.
     pub rows: Rows,
     /// Numbers in a row.
     pub width: usize,
 }
 
-/// Tensor names and sizes of a linear layer.
+/// A linear layer; [`layout`](super::layout) lists those of all networks.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinearLayer {
     /// Name of the matrix, `[output, input]`.
@@ -59,14 +59,14 @@ pub struct LinearLayer {
     pub sharing: usize,
 }
 
-/// What has a row each in a list.
+/// What the rows of a list belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rows {
-    /// A frame.
+    /// A frame each.
     Frames,
-    /// A particle.
+    /// A particle each.
     Particles,
-    /// A node of a level of the grid.
+    /// A node of this level of the grid each.
     Nodes(usize),
 }
 
@@ -75,13 +75,13 @@ pub enum Rows {
 pub struct Operation {
     /// What it computes.
     pub kind: Kind,
-    /// Numbers of the lists that it reads.
+    /// Indices of the lists that it reads.
     pub reads: Vec<usize>,
-    /// Number of the list that it writes.
+    /// Index of the list that it writes.
     pub writes: usize,
 }
 
-/// What an operation computes. Layers are numbers in [`Plan::layers`].
+/// What an operation computes. Layers are indices in [`Plan::layers`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
     /// The velocities that the ballistic step expects of the coming frame, from positions and velocities.
@@ -92,16 +92,16 @@ pub enum Kind {
     FrameFeatures,
     /// A linear layer, perhaps with an activation function, on the rows of one list or of two side by side.
     Linear {
-        /// Its layer.
+        /// Index of its layer.
         layer: usize,
-        /// f of f(x W + b).
+        /// The function of the sums, if there is one.
         activation: Option<Activation>,
     },
     /// A linear layer with an activation function on the particles, and the mean over those of a frame.
     MeanOfLinear {
-        /// Its layer.
+        /// Index of its layer.
         layer: usize,
-        /// f of f(x W + b).
+        /// The function of the sums.
         activation: Activation,
     },
     /// The largest numbers over the particles of a frame.
@@ -111,7 +111,7 @@ pub enum Kind {
     ToNodes,
     /// A convolution on nodes, and where it reads two lists, the second one added before its activation.
     Convolution {
-        /// Its layer.
+        /// Index of its layer.
         layer: usize,
         /// What it gathers.
         grid: GridLayer,
@@ -122,7 +122,7 @@ pub enum Kind {
     Cell {
         /// The layer of the core, from 0.
         number: usize,
-        /// The layer that reads the last output, if the core has one.
+        /// Index of the layer that reads the last output, if the core has one.
         recurrent: Option<usize>,
     },
     /// Positions and velocities of the next frame side by side, from those of this one and the decoder's output.
@@ -176,6 +176,7 @@ impl Plan {
         let core = plan.operations.len();
         let signal = plan.add_core(description, signal, rows);
         plan.core = core..plan.operations.len();
+        // Table 1 does not say whether its "MLP(1250 -> 1250)" has an activation; without one it would be redundant.
         let mixed =
             plan.linear(names("mixer"), &[signal], List { rows, width: hidden }, Some(activation));
         let output = plan.linear(names("decoder"), &[mixed], List { rows, width: outputs }, None);
@@ -202,14 +203,20 @@ impl Plan {
             Kind::ToNodes => Some(Stage::ToNodes),
             Kind::Convolution { .. } => convolutions.next().map(Stage::Convolution),
             Kind::ToParticles => Some(Stage::Decode),
-            _ => None,
+            // They go on with the rows of the stage.
+            Kind::ParticleFeatures | Kind::Linear { .. } | Kind::Cell { .. } | Kind::Advance => {
+                None
+            }
+            Kind::FrameFeatures | Kind::MeanOfLinear { .. } | Kind::Max => {
+                unreachable!("an operation of the frame model")
+            }
         };
         self.operations.iter().filter_map(begins).collect()
     }
 
-    /// The list that the core reads first; with both poolings there is another one.
-    pub fn core_input(&self) -> usize {
-        self.operations[self.core.start].reads[0]
+    /// The lists that the core reads: two with both poolings.
+    pub fn core_inputs(&self) -> &[usize] {
+        &self.operations[self.core.start].reads
     }
 
     /// The list that the core writes last.
@@ -217,7 +224,10 @@ impl Plan {
         self.operations[self.core.end - 1].writes
     }
 
-    /// The frame model up to its core, which reads these lists.
+    /// The frame model (the paper's Table 1) up to its core, which reads these lists.
+    ///
+    /// The table pools after the encoder's second layer. A mean commutes with a linear map, so that pooling first gives the same
+    /// numbers for a fortieth of the work (a test compares the two orders). A maximum does not commute and keeps the table's order.
     fn encode_frame(&mut self, description: &Description) -> Vec<usize> {
         let Description { frame, sizes, .. } = description;
         let (activation, pooling) = (frame.activation, frame.pooling);
@@ -301,7 +311,7 @@ impl Plan {
         read[0]
     }
 
-    /// Adds a linear layer with weights of its own, and returns the number of the list that it writes.
+    /// Adds a linear layer with weights of its own, and returns the index of the list that it writes.
     fn linear(
         &mut self,
         names: [String; 2],
@@ -314,7 +324,7 @@ impl Plan {
         self.add(Kind::Linear { layer, activation }, reads, writes)
     }
 
-    /// Adds weights, and returns their number.
+    /// Adds weights, and returns their index.
     fn layer(
         &mut self,
         [weight, bias]: [String; 2],
@@ -326,7 +336,7 @@ impl Plan {
         self.layers.len() - 1
     }
 
-    /// Adds an operation, and returns the number of the list that it writes.
+    /// Adds an operation, and returns the index of the list that it writes.
     fn add(&mut self, kind: Kind, reads: &[usize], list: List) -> usize {
         let writes = self.lists.len();
         self.lists.push(list);
@@ -400,6 +410,12 @@ mod tests {
                 }
             }
             prop_assert_eq!(written, plan.lists.len());
+            if let Some(grid) = &description.grid {
+                let layers = (0..grid_layers(grid).len()).map(Stage::Convolution);
+                let stages = [Stage::Encode, Stage::ToNodes].into_iter().chain(layers);
+                let stages: Vec<_> = stages.chain([Stage::Decode]).collect();
+                prop_assert_eq!(plan.stages(), stages);
+            }
             let weights = initial_weights(&description, 1);
             prop_assert_eq!(plan.by_name(&plan.in_order(&weights)), weights);
         }

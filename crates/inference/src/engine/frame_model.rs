@@ -213,21 +213,28 @@ impl FrameModel {
     }
 }
 
-/// The stages of the plan's operations. A pooling by the maximum has the linear layers before it, a core's layer has its own.
+/// The stages of the plan's operations.
 fn stages(plan: &Plan) -> Vec<Stage> {
-    let stage = |(number, operation): (usize, &Operation)| match operation.kind {
+    let stage = |(index, operation): (usize, &Operation)| match operation.kind {
         Kind::MeanOfLinear { .. } => vec![Stage::PoolMean],
+        // With the linear layers on particles before it.
         Kind::Max => vec![Stage::PoolMax, Stage::JoinMax],
+        // With the linear layers before it.
         Kind::Cell { number, .. } => vec![Stage::Core(number)],
-        Kind::Linear { .. } if plan.lists[operation.writes].rows == Rows::Frames => {
-            match number.cmp(&plan.core.end) {
-                Ordering::Less if plan.core.contains(&number) => vec![],
-                Ordering::Less => vec![Stage::Encode],
-                Ordering::Equal => vec![Stage::Mix],
-                Ordering::Greater => vec![Stage::Decode],
-            }
-        }
-        _ => vec![],
+        Kind::Linear { .. } if plan.lists[operation.writes].rows == Rows::Particles => vec![],
+        Kind::Linear { .. } if plan.core.contains(&index) => vec![],
+        Kind::Linear { .. } => match index.cmp(&plan.core.end) {
+            Ordering::Less => vec![Stage::Encode],
+            Ordering::Equal => vec![Stage::Mix],
+            Ordering::Greater => vec![Stage::Decode],
+        },
+        // Before and after the threads' job.
+        Kind::FrameFeatures | Kind::Advance => vec![],
+        Kind::Expect
+        | Kind::ParticleFeatures
+        | Kind::ToNodes
+        | Kind::Convolution { .. }
+        | Kind::ToParticles => unreachable!("an operation of the particle model"),
     };
     plan.operations.iter().enumerate().flat_map(stage).collect()
 }

@@ -117,6 +117,7 @@ impl Grid {
             encoded: inputs - MERGED_NODE_FEATURES,
         }
     }
+
     /// Length of the rows of a list.
     fn stride(&self, list: usize) -> usize {
         self.lists[list].1

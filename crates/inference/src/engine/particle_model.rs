@@ -33,7 +33,7 @@ use crate::{
     ops::{
         ballistic::Motion,
         decoder::ResidualStep,
-        features::{Features, ParticleInputs, STATE_COLUMNS},
+        features::{ParticleFeatures, ParticleInputs, STATE_COLUMNS},
         linear::packed::{Linear, SplitLinear},
         rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
     },
@@ -49,7 +49,7 @@ pub(super) const BLOCK: usize = 48;
 pub(super) struct ParticleModel {
     /// The instruction set that the weights are packed for.
     arch: Arch,
-    pub(super) features: Features,
+    pub(super) features: ParticleFeatures,
     /// With a constant output of one, whose sum is the mass of a node, and padding for the nodes' own features.
     pub(super) encoder: SplitLinear,
     pub(super) grid: Grid,
@@ -113,7 +113,7 @@ impl ParticleModel {
         let rules = description.rules;
         Self {
             arch,
-            features: Features::new(description),
+            features: ParticleFeatures::new(description),
             encoder: linear("encoder.0"),
             context: linear("context"),
             core: (0..description.sizes.layers)

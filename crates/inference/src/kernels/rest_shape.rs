@@ -158,24 +158,8 @@ impl RestShape {
         self.len() == 0
     }
 
-    /// The shape of each particle in T frames, `[T R, 5]`, from the positions, `[T R]`: strain and bend
-    /// ([`SHAPE_FEATURES`]), scaled and limited; zeros for particles without a rest shape.
-    ///
-    /// # Panics
-    /// If the number of positions is not a multiple of R.
-    pub fn shape(&self, position: &[[f32; 2]]) -> Vec<f32> {
-        let rows = self.rows(position);
-        let mut shape = vec![[0.0; SHAPE_FEATURES]; position.len()];
-        let frames = shape.par_chunks_mut(rows).zip(position.par_chunks(rows));
-        frames.for_each(|(shape, position)| {
-            shape.par_iter_mut().enumerate().for_each(|(particle, shape)| {
-                *shape = self.shape_of(particle, position);
-            });
-        });
-        shape.into_flattened()
-    }
-
-    /// The shape of one particle, from the positions of a frame, `[R]`.
+    /// The shape of one particle, from the positions of a frame, `[R]`: strain and bend ([`SHAPE_FEATURES`]), scaled and limited;
+    /// zeros without a rest shape.
     #[inline(always)]
     pub fn shape_of(&self, particle: usize, position: &[[f32; 2]]) -> [f32; SHAPE_FEATURES] {
         let links = self.links(particle);

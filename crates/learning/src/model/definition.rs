@@ -6,10 +6,10 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData, activation::relu};
 use super::{
     ballistic::BallisticTensors,
     core::{self, activate},
+    described::{Inputs, Model, Outputs},
     features::Scaling,
     grid_context::GridContext,
     linear::Linear,
-    network::{Inputs, Model, Outputs},
     sparse,
     state::{StaticInputs, pairs},
     strain,
@@ -83,7 +83,8 @@ impl Definition {
             before: Tensor::zeros([layers, columns], &input.device()),
             after: Vec::new(),
         };
-        pass.lists[model.plan.core_input()] = Some(input.reshape([frames * rows, width]));
+        let &[list] = model.plan.core_inputs() else { panic!("a core that reads one list") };
+        pass.lists[list] = Some(input.reshape([frames * rows, width]));
         model.plan.operations[model.plan.core.clone()].iter().for_each(|one| pass.run(one));
         let output = pass.list(model.plan.core_output());
         output.reshape([frames, rows, model.description.sizes.hidden])

@@ -28,7 +28,7 @@ pub(crate) struct Scaling {
     /// Their standard deviations, `[1, 4]`.
     deviation: Tensor<2>,
     /// [`velocity_unit`].
-    pub(crate) velocity_unit: f32,
+    velocity_unit: f32,
 }
 
 impl Scaling {

@@ -7,17 +7,19 @@
 //! 3. Operations over tensors: `ballistic`, the motion of a particle that touches nothing; `features`, the networks' inputs, with
 //!    `strain`, that of solids; `linear`; `sparse`, those on the grid; `core`, the cells, with `scan`, linear recurrences over all
 //!    frames at once.
-//! 4. `definition`: the networks, operation by operation, as the [`plan`](eddy_inference::checkpoint::plan) lists them.
-//! 5. `tape`: the same on plain lists, with their gradients. `recorded`: as one operation of burn, where gradients are recorded on
+//! 4. `described`: a network without its weights.
+//! 5. `definition`: the networks, operation by operation, as the [`plan`](eddy_inference::checkpoint::plan) lists them.
+//! 6. `tape`: the same on plain lists, with their gradients. `recorded`: as one operation of burn, where gradients are recorded on
 //!    the CPU.
-//! 6. `network`: one of the two.
-//! 7. [`mod@reference`]: a checkpoint that predicts frame by frame, for comparison with the streaming engine.
+//! 7. `network`: a network on a device, where one of the two computes it.
+//! 8. [`mod@reference`]: a checkpoint that predicts frame by frame, for comparison with the streaming engine.
 //!
 //! Letters in shapes: `T` frames, `B` windows, `N` particles of a window, `R` = B N rows, `F` input features, `E` encoder
 //! width, `H` hidden width, `C` channels of the grid, `M` nodes.
 
 pub mod reference;
 
+pub(crate) mod described;
 pub(crate) mod dropout;
 pub(crate) mod network;
 pub(crate) mod state;

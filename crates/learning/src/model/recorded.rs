@@ -3,7 +3,7 @@
 
 use std::{
     ops::Range,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 use burn::{
@@ -20,7 +20,7 @@ use burn::{
 };
 
 use super::{
-    network::{Inputs, Model, Outputs},
+    described::{Inputs, Model, Outputs},
     state::StaticInputs,
     tape::{Gradients, Pass, Tape},
 };
@@ -28,27 +28,39 @@ use eddy_inference::checkpoint::plan::{EXPECTED, POSITION, VELOCITY};
 
 type Recording = Autodiff<Flex>;
 
-/// A network's weights and their gradients, which burn does not know.
+/// A network for passes that burn records.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorded {
-    weights: Arc<Vec<Vec<f32>>>,
-    /// Empty where there is none.
-    gradients: Arc<Mutex<Vec<Vec<f32>>>>,
+    weights: TapeWeights,
     /// A number with a gradient that nobody reads: burn records operations of which an input has one.
     anchor: Tensor<1>,
 }
 
+/// A network's weights in the order of the plan, and their gradients, which burn does not know.
+#[derive(Clone, Debug)]
+struct TapeWeights {
+    values: Arc<Vec<Vec<f32>>>,
+    /// Empty where there is none.
+    gradients: Arc<Mutex<Vec<Vec<f32>>>>,
+}
+
+impl TapeWeights {
+    fn gradients(&self) -> MutexGuard<'_, Vec<Vec<f32>>> {
+        self.gradients.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 impl Recorded {
     /// With weights in the order of the plan.
-    pub(crate) fn new(weights: Arc<Vec<Vec<f32>>>, device: &Device) -> Self {
-        let gradients = Arc::new(Mutex::new(vec![Vec::new(); weights.len()]));
-        Self { weights, gradients, anchor: Tensor::zeros([1], device).require_grad() }
+    pub(crate) fn new(values: Arc<Vec<Vec<f32>>>, device: &Device) -> Self {
+        let gradients = Arc::new(Mutex::new(vec![Vec::new(); values.len()]));
+        let anchor = Tensor::zeros([1], device).require_grad();
+        Self { weights: TapeWeights { values, gradients }, anchor }
     }
 
     /// The gradients by the weights since the last call, in their order; empty if nothing depends on them.
     pub(crate) fn gradients(&self) -> Vec<Vec<f32>> {
-        let mut gradients = self.gradients.lock().unwrap_or_else(PoisonError::into_inner);
-        gradients.iter_mut().map(std::mem::take).collect()
+        self.weights.gradients().iter_mut().map(std::mem::take).collect()
     }
 
     /// All operations.
@@ -59,7 +71,7 @@ impl Recorded {
         let exits: Vec<usize> = [plan.next()].into_iter().chain(plan.expected_next()).collect();
         let operation = Frames {
             model: Arc::clone(model),
-            recorded: self.clone(),
+            weights: self.weights.clone(),
             fixed,
             frames,
             masks: masks.into(),
@@ -88,12 +100,12 @@ impl Recorded {
         let shape = model.state_shape(rows);
         let operation = Frames {
             model: Arc::clone(model),
-            recorded: self.clone(),
+            weights: self.weights.clone(),
             fixed: StaticInputs::new(&[], &[], 1, None, None),
             frames,
             masks: Arc::default(),
             operations: model.plan.core.clone(),
-            entries: vec![model.plan.core_input()],
+            entries: model.plan.core_inputs().to_vec(),
             exits: vec![model.plan.core_output()],
         };
         let states = Tensor::<2>::zeros(shape, &encodings.device());
@@ -109,11 +121,11 @@ fn input<const D: usize>(tensor: Tensor<D>) -> DispatchTensor {
     tensor.autodiff().into_dispatch()
 }
 
-/// Some of a network's operations on some frames.
+/// A pass over some of a network's operations. It has no tensors: burn keeps it until gradients are computed.
 #[derive(Clone, Debug)]
 struct Frames {
     model: Arc<Model>,
-    recorded: Recorded,
+    weights: TapeWeights,
     fixed: Arc<StaticInputs>,
     /// T.
     frames: usize,
@@ -127,8 +139,8 @@ struct Frames {
 
 impl Frames {
     fn pass(&self) -> Pass<'_> {
-        let Self { model, recorded, fixed, frames, masks, operations, .. } = self;
-        let weights = &recorded.weights;
+        let Self { model, weights, fixed, frames, masks, operations, .. } = self;
+        let weights = &weights.values;
         Pass { model, weights, fixed, frames: *frames, masks, operations }
     }
 
@@ -193,7 +205,7 @@ impl<const N: usize> Backward<Flex, N> for Frames {
         let given = self.entries.iter().zip(&ops.parents[1..]);
         let wanted: Vec<_> =
             given.filter(|(_, parent)| parent.is_some()).map(|(&list, _)| list).collect();
-        let mut weights = self.recorded.gradients.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut weights = self.weights.gradients();
         let mut by = Gradients { lists, states: gradient.to_vec(), weights: &mut weights };
         self.pass().backward(&tape, &wanted, &mut by);
         let Gradients { mut lists, states, .. } = by;

@@ -8,8 +8,9 @@ use burn::tensor::{Tensor, TensorData};
 
 use super::{
     DeviceKind,
+    described::Model,
     dropout::Dropout,
-    network::{Model, Network},
+    network::Network,
     state::{ParticleState, RecurrentState, StaticInputs, pairs},
 };
 use eddy_frames::Frame;

@@ -1,4 +1,4 @@
-//! Strain and bend of solids relative to their rest shape: [`RestShape::shape`] over tensors.
+//! Strain and bend of solids relative to their rest shape: [`RestShape::shape_of`] over tensors.
 
 use burn::tensor::{IndexingUpdateOp, Tensor, TensorData};
 

@@ -6,8 +6,9 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
+    described::Model,
     dropout::Dropout,
-    network::{Model, Network},
+    network::Network,
     state::{ParticleState, RecurrentState, StaticInputs, TrajectoryBatch},
     tape::Pass,
     *,
@@ -15,8 +16,8 @@ use super::{
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
     checkpoint::{
-        Activation, Checkpoint, Description, FeatureScaling, Form, GridOptions, MaterialInput,
-        Normalization, Pooling, Rules, Sizes, Weights, initial_weights,
+        Activation, Checkpoint, Description, FeatureScaling, Form, FrameOutput, GridOptions,
+        MaterialInput, Normalization, Pooling, Rules, Sizes, Weights, initial_weights,
         plan::{POSITION, VELOCITY},
         tensor_shapes,
     },
@@ -122,7 +123,10 @@ fn numbers<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
 
 fn largest_difference(a: &[f32], b: &[f32]) -> f32 {
     assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    let apart = |(a, b): (&f32, &f32)| (a - b).abs();
+    // NaN is far apart.
+    let apart = a.iter().zip(b).map(apart).map(|x| if x.is_nan() { f32::INFINITY } else { x });
+    apart.fold(0.0, f32::max)
 }
 
 /// Every network, and one that is conditioned on the stiffness.
@@ -209,6 +213,8 @@ fn every_option() -> Vec<Description> {
         frame(Core::Gru, |d| d.frame.pooling = Pooling::MeanMax),
         frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
         frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
+        frame(Core::MinGru, |d| d.frame.output = FrameOutput::Residual),
+        frame(Core::MinGru, |d| d.frame.output = FrameOutput::Position),
     ]);
     // Wide enough to use several threads.
     all.extend([Core::Lstm, Core::Gru, Core::MinLstm, Core::MinGru].map(|core| {
@@ -222,7 +228,8 @@ fn every_option() -> Vec<Description> {
     all
 }
 
-/// Predictions of three windows over a warm-up and two free frames, and the gradients of their weighted squares by every tensor.
+/// Predictions of three windows over a warm-up and two free frames, with dropout, and the gradients of their weighted squares by every
+/// tensor.
 fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Vec<f32>> {
     let recorded = device.device().autodiff();
     let network = network(description, &weights(description, 3), &recorded);
@@ -238,10 +245,10 @@ fn values_and_gradients(description: &Description, device: DeviceKind) -> Vec<Ve
     };
     let starts: Vec<Frame> = frames.chunks(3).map(|frames| frames[0].clone()).collect();
     let fixed = fixed(description, &starts);
-    let none = &mut Dropout::none();
-    let (steps, hidden) = network.observe(&trajectory, &fixed, RecurrentState::default(), none);
-    let (next, hidden) = network.step(&steps.at(2), &fixed, hidden, none);
-    let (after, _) = network.step(&next, &fixed, hidden, none);
+    let dropout = &mut Dropout::new(0.3, ChaCha8Rng::seed_from_u64(5));
+    let (steps, hidden) = network.observe(&trajectory, &fixed, RecurrentState::default(), dropout);
+    let (next, hidden) = network.step(&steps.at(2), &fixed, hidden, dropout);
+    let (after, _) = network.step(&next, &fixed, hidden, dropout);
     let mut values = vec![numbers(&steps.position), numbers(&steps.velocity)];
     values.extend([&next, &after].map(|state| numbers(&state.velocity)));
     let loss = steps.velocity.square().sum()
@@ -257,11 +264,13 @@ fn the_tape_and_the_definition_give_the_same_values_and_gradients() {
         let found = values_and_gradients(&description, DeviceKind::Flex);
         let expected = values_and_gradients(&description, DeviceKind::Ndarray);
         let tensors = tensor_shapes(&description).len();
-        assert!(found.len() == expected.len() && found.len() >= tensors, "{}", found.len());
+        assert_eq!((found.len(), expected.len()), (4 + tensors, 4 + tensors));
+        assert!(found.iter().all(|values| !values.is_empty()), "a tensor without a gradient");
         for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
             let largest = expected.iter().fold(1e-6f32, |largest, x| largest.max(x.abs()));
             let difference = largest_difference(found, expected) / largest;
-            assert!(difference <= 2e-5, "{index}: {difference}: {description:?}");
+            // Velocities that are differences of positions have their rounding, divided by the frame interval.
+            assert!(difference <= 5e-5, "{index}: {difference}: {description:?}");
         }
     }
 }
@@ -368,7 +377,7 @@ fn pooling_before_the_second_linear_is_exact() {
     let pass = Pass { model, weights: &weights, fixed, frames: 1, masks: &[], operations };
     let given = [frame.position.as_flattened().to_vec(), frame.velocity.as_flattened().to_vec()];
     let tape = pass.forward([POSITION, VELOCITY].into_iter().zip(given), Vec::new());
-    assert!(largest_difference(&tape.lists[model.plan.core_input()], &literal) <= 1e-6);
+    assert!(largest_difference(&tape.lists[model.plan.core_inputs()[0]], &literal) <= 1e-6);
 }
 
 #[test]

@@ -15,10 +15,7 @@ use super::{
     steps::Learner,
     window::{Sampler, Window},
 };
-use crate::model::{
-    DeviceKind,
-    network::{Model, Network},
-};
+use crate::model::{DeviceKind, described::Model, network::Network};
 use eddy_cuda::{
     device::Device,
     frame::{self, Place, Training},
@@ -107,24 +104,13 @@ fn random_weights(description: &Description) -> BTreeMap<String, Weights> {
     tensors
 }
 
-/// The names of the tensors in the order of the optimizer, with the widths of their layers.
+/// Tensors in the order of the optimizer, by name.
 pub(super) fn named(
     description: &Description,
     tensors: Vec<Vec<f32>>,
 ) -> BTreeMap<String, Vec<f32>> {
-    let layers = Plan::new(description).layers;
-    let mut tensors = tensors.into_iter();
-    let mut named = BTreeMap::new();
-    for layer in layers {
-        let (weight, bias) = (tensors.next().unwrap(), tensors.next().unwrap());
-        let transposed = (0..layer.output)
-            .flat_map(|o| (0..layer.input).map(move |i| (i, o)))
-            .map(|(i, o)| weight[i * layer.output + o])
-            .collect();
-        named.insert(layer.weight, transposed);
-        named.insert(layer.bias, bias);
-    }
-    named
+    let named = Plan::new(description).by_name(&tensors).into_iter();
+    named.map(|(name, weights)| (name, weights.values)).collect()
 }
 
 /// The difference of two lists, relative to the second.

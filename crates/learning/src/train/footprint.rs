@@ -37,7 +37,9 @@ pub(super) fn check(
     let here = !run.device.is_cuda();
     // eddy's kernels take the mean of the encoder's points without keeping them.
     let keeps_points = run.device != DeviceKind::Flex || description.frame.pooling != Pooling::Mean;
-    let numbers_of_batch = || batch_numbers(config, description, particles, keeps_points);
+    // Gradients of its lists are freed on the way back.
+    let kept = if run.device == DeviceKind::Flex { 1 } else { 2 };
+    let numbers_of_batch = || batch_numbers(config, description, particles, keeps_points, kept);
     let batch = if here { bytes(numbers_of_batch()) } else { 0 };
     // Of weights for several stiffnesses, network and gradient have one set, but all sets are kept beside.
     let in_training = match description.stiffness_knots.len() {
@@ -58,13 +60,14 @@ pub(super) fn check(
     Ok(())
 }
 
-/// The windows of a batch, and the output of every layer with its gradient; of the frame model's points, if they are not kept,
-/// the inputs.
+/// The windows of a batch, and the output of every layer `kept` times: alone, or with its gradient; of the frame model's points, if
+/// they are not kept, the inputs.
 fn batch_numbers(
     config: &TrainConfig,
     description: &Description,
     particles: usize,
     keeps_points: bool,
+    kept: usize,
 ) -> usize {
     let sizes = &description.sizes;
     let (encoder, hidden) = (sizes.encoder, sizes.hidden);
@@ -96,6 +99,6 @@ fn batch_numbers(
     // Of truth and prediction: a map, and the two factors of which it is the product.
     let grid = config.loss.density_grid;
     let maps = if config.loss.density_weight > 0.0 { 2 * grid * (grid + 2 * particles) } else { 0 };
-    let computed = 2 * (particles * of_particle + of_window);
+    let computed = kept * (particles * of_particle + of_window);
     batch.saturating_mul(frames).saturating_mul(window + computed + maps)
 }

@@ -13,8 +13,9 @@ use super::{
 };
 use crate::model::{
     DeviceKind,
+    described::Model,
     dropout::Dropout,
-    network::{Model, Network},
+    network::Network,
     state::{RecurrentState, TrajectoryBatch},
 };
 use eddy_frames::{Material, State};

@@ -1,6 +1,6 @@
 //! The loss of a batch and its gradients.
 //!
-//! In the particle model, each window goes through its own copy of the network, with the same weights: threads process
+//! In the particle model, each window goes through a network of its own, with the same weights: threads process
 //! windows independently, and the data of a window stays in nearby caches. Gradients are added in the order of the windows. In
 //! the frame model, all windows go through the network together, since its weights are much larger than a window.
 
@@ -9,14 +9,10 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::{TrainConfig, batch::Batch, loss, loss_weights::LossScale, window::Window};
-use crate::model::{
-    DeviceKind,
-    dropout::Dropout,
-    network::{Model, Network},
-};
+use crate::model::{DeviceKind, described::Model, dropout::Dropout, network::Network};
 use eddy_inference::checkpoint::{Architecture, Description};
 
-/// The loss of a batch and its gradient by each tensor, in the order of the layers' update; empty if the loss does not depend on
+/// The loss of a batch and its gradient by each tensor, in the order of the plan; empty if the loss does not depend on
 /// a tensor.
 pub(super) struct BatchGradient {
     pub(super) loss: f32,

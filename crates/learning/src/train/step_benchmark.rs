@@ -13,11 +13,7 @@ use super::{
     LossConfig, OptimizerConfig, TrainConfig, TrainError, batch::Batch, loss,
     loss_weights::LossScale, optimizer::Optimizer, window::Window,
 };
-use crate::model::{
-    DeviceKind, GpuOptions,
-    dropout::Dropout,
-    network::{Model, Network},
-};
+use crate::model::{DeviceKind, GpuOptions, described::Model, dropout::Dropout, network::Network};
 #[cfg(feature = "cuda")]
 use eddy_dataset::Trajectory;
 use eddy_frames::{Domain, Material, State};

@@ -164,9 +164,9 @@ fn step(
 ) -> Result<Step, TrainError> {
     let windows = sampler.batch(task.config.windows.batch, || left, &mut state.order)?;
     let stiffnesses = windows.iter().map(|window| window.stiffness);
-    let shares = knots::shares(&task.config.network.stiffness_knots, stiffnesses);
-    let knots = &task.config.network.stiffness_knots;
-    let weights = state.weights_of_step(knots, &shares);
+    let of_knots = &task.config.network.stiffness_knots;
+    let shares = knots::shares(of_knots, stiffnesses);
+    let weights = state.weights_of_step(of_knots, &shares);
     let BatchGradient { loss, gradients } = task.compute(&weights, &windows, &mut state.dropout);
     drop(weights);
     let windows = windows.iter().map(Window::origin).collect();

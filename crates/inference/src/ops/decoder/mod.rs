@@ -17,7 +17,7 @@
 //!
 //! This file has both on processors, with their gradients, `device.cu` the particle model's on GPUs; the frame
 //! model's is `frame/motion.cu` of `eddy-cuda`, beside the kernels that take its constants as an argument. The definition in burn
-//! is `Definition::advance` in `model/definition.rs` of `eddy-learning`.
+//! is `Pass::advance` in `model/definition.rs` of `eddy-learning`.
 
 use super::ballistic::{Ballistic, Motion, clamped};
 use crate::{
@@ -188,7 +188,8 @@ impl Decoded {
             }
         }
     }
-    /// The gradients from those by the next state. None passes a wall that stops the ballistic step.
+
+    /// The gradients from those by the next state. None by a particle's state passes a wall that stops the ballistic step.
     pub fn gradient(
         &self,
         x: [f32; 2],

@@ -1,4 +1,4 @@
-// The particle model's features, as `mod.rs`, and their gradient as `gradient.rs`; `s` is a stream or the plan of a training, with
+// The particle model's features, as `mod.rs`, and their gradient as `trajectories.rs`; `s` is a stream or the plan of a training, with
 // walls, fall, dt, unit.
 // Scales of wall proximity, `engine/scales.rs`; of strain and bend, `kernels/rest_shape.rs`.
 #define CONTACT_SCALE 0.03f

@@ -1,4 +1,4 @@
-//! The particle model's input features; pairs are along x and y:
+//! The input features of the networks. Those of the particle model; pairs are along x and y:
 //!
 //! | inputs | feature |
 //! |---|---|
@@ -8,24 +8,26 @@
 //! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
 //! | 5 | shape of solids ([`rest_shape`](crate::kernels::rest_shape)): strain xx, yy, xy, bend along x and y |
 //! | 4 | material, one-hot |
-//! | 1 | stiffness of the stream, [`stiffness_feature`](crate::engine::scales::stiffness_feature); only of a network that is conditioned on it |
+//! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is conditioned on it |
+//!
+//! [`stiffness_feature`]: crate::engine::scales::stiffness_feature
 //!
 //! The velocity residual distinguishes a particle that rests on others from one in free fall. No feature gives the position
 //! in the domain, which may be larger than in training.
 //!
 //! 1. This file: the features of a block of particles, for predictions and for training.
-//! 2. `gradient`: all particles of some frames, for training, with the gradients.
+//! 2. `trajectories`: all particles of some frames, for training, with the gradients.
 //! 3. `frame`: the features of the frame model.
 //! 4. `device.cu`, [`DEVICE`]: those of the particle model on GPUs, with the gradients.
 //!
 //! The definition in burn is `model/features.rs` of `eddy-learning`.
 
 mod frame;
-mod gradient;
+mod trajectories;
 
 pub use frame::FrameFeatures;
 pub(crate) use frame::STATE;
-pub use gradient::{Gradients, Trajectories};
+pub use trajectories::{Gradients, Trajectories};
 
 use pulp::Simd;
 
@@ -62,7 +64,7 @@ const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
 /// Scale of the features, and the ballistic step they refer to.
 #[derive(Clone, Debug)]
-pub struct Features {
+pub struct ParticleFeatures {
     /// In the checkpoint's domain.
     ballistic: Ballistic,
     domain: Domain,
@@ -84,7 +86,7 @@ pub(crate) struct ParticleInputs<'a> {
     pub(crate) stiffness: Option<f32>,
 }
 
-impl Features {
+impl ParticleFeatures {
     /// Of the described network.
     pub fn new(description: &Description) -> Self {
         Self {
@@ -191,7 +193,7 @@ impl Features {
     }
 }
 
-/// The motion of a particle after the ballistic step, from the `states` of [`Features::fill`].
+/// The motion of a particle after the ballistic step, from the `states` of [`ParticleFeatures::fill`].
 #[inline(always)]
 pub(crate) fn ballistic_motion(states: &[f32], length: usize, place: usize) -> Motion {
     let of = |column: usize| states[column * length + place];

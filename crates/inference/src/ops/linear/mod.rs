@@ -51,9 +51,12 @@ impl Linear<'_> {
     pub fn forward(&self, input: &[f32]) -> Vec<f32> {
         let matrix = self.matrix();
         let [inputs, _] = matrix.shape();
-        if let Some(rectify) = self.narrow() {
+        if self.is_narrow() {
             let rows = Rows::plain(input, inputs);
-            return products(rows, &Panels::new(matrix), Some(self.bias), rectify);
+            let mut output =
+                products(rows, &Panels::new(matrix), Some(self.bias), self.is_rectified());
+            self.activate(&mut output);
+            return output;
         }
         let mut output = self.bias.repeat(input.len() / inputs);
         self.add(input, &mut output);
@@ -64,15 +67,14 @@ impl Linear<'_> {
     pub fn add(&self, input: &[f32], output: &mut [f32]) {
         let matrix = self.matrix();
         let [inputs, _] = matrix.shape();
-        if let Some(rectify) = self.narrow() {
+        if self.is_narrow() {
             let rows = Rows::plain(input, inputs);
-            return add_products(rows, &Panels::new(matrix), rectify, output);
+            add_products(rows, &Panels::new(matrix), self.is_rectified(), output);
+        } else {
+            let input = Matrix::new(input, input.len() / inputs, inputs);
+            multiply(input, matrix, output, Accumulate::Add);
         }
-        let input = Matrix::new(input, input.len() / inputs, inputs);
-        multiply(input, matrix, output, Accumulate::Add);
-        if let Some(activation) = self.activation {
-            activate(activation, output);
-        }
+        self.activate(output);
     }
 
     /// The gradients from `gradient`, that by y, `[R, O]`.
@@ -113,12 +115,15 @@ impl Linear<'_> {
         Matrix::new(self.weight, self.weight.len() / self.bias.len(), self.bias.len())
     }
 
-    /// Whether ReLU follows, if the products with the activation are those of [`narrow`](crate::kernels::narrow).
-    fn narrow(&self) -> Option<bool> {
-        match self.activation {
-            None if self.is_narrow() => Some(false),
-            Some(Activation::Relu) if self.is_narrow() => Some(true),
-            _ => None,
+    /// Whether the products of [`narrow`](crate::kernels::narrow) have the activation.
+    fn is_rectified(&self) -> bool {
+        self.is_narrow() && self.activation == Some(Activation::Relu)
+    }
+
+    /// Applies the activation, if there is one and the products do not have it.
+    fn activate(&self, output: &mut [f32]) {
+        if let Some(activation) = self.activation.filter(|_| !self.is_rectified()) {
+            activate(activation, output);
         }
     }
 

@@ -7,8 +7,8 @@
 //! | 1 | m / [`FULL_MASS`], where m is the sum of w_p |
 //! | 4 | exp(-d / w) of the distance d from the left, lower, right and upper effective wall; 1 beyond. w is the width of a cell |
 //!
-//! This file is for training, with the gradient; `device.cu` has what all kernels share. For predictions, `scatter` and `grid` of the [`engine`](crate::engine) sum up a
-//! block of particles at a time. The definition in burn is `model/sparse.rs` of `eddy-learning`.
+//! This file is for training, with the gradient; `device.cu` has what all kernels share. For predictions, `scatter` and `grid` of the
+//! [`engine`](crate::engine) sum up a block of particles at a time. The definition in burn is `model/sparse.rs` of `eddy-learning`.
 
 use super::ballistic::Ballistic;
 use crate::{

@@ -12,13 +12,13 @@ use eddy_inference::{
 };
 
 /// A linear layer on the rows of one list or of two side by side.
-pub(super) struct LinearLayer {
+pub(super) struct LinearOperation {
     pub(super) activation: Option<Activation>,
     /// Numbers in a row of the first list.
     pub(super) width: usize,
 }
 
-impl LinearLayer {
+impl LinearOperation {
     /// The parts of the layer for each list. The activation follows the last one.
     fn parts<'a>(&self, lists: usize, weight: &'a [f32], bias: &'a [f32]) -> Vec<Linear<'a>> {
         let (first, second) = weight.split_at(self.width * bias.len());
@@ -30,7 +30,7 @@ impl LinearLayer {
     }
 }
 
-impl Operate for LinearLayer {
+impl Operate for LinearOperation {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
         let [lists @ .., weight, bias] = read else { unreachable!("a layer has weights") };
         let parts = self.parts(lists.len(), weight, bias);
@@ -62,7 +62,7 @@ impl Operate for LinearLayer {
 }
 
 /// A cell of the core; keeps its states, `[T, R, S H]`, of which its list has the outputs.
-pub(super) struct CellLayer<'a> {
+pub(super) struct CellOperation<'a> {
     pub(super) cell: AnyCell,
     /// H.
     pub(super) width: usize,
@@ -72,7 +72,7 @@ pub(super) struct CellLayer<'a> {
     pub(super) after: &'a [f32],
 }
 
-impl CellLayer<'_> {
+impl CellOperation<'_> {
     fn masked(&self, mut outputs: Vec<f32>) -> Vec<f32> {
         for (output, factor) in outputs.iter_mut().zip(self.mask.unwrap_or_default()) {
             *output *= factor;
@@ -81,23 +81,32 @@ impl CellLayer<'_> {
     }
 }
 
-impl Operate for CellLayer<'_> {
+impl Operate for CellOperation<'_> {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
         let kept = with_cell!(self.cell, |cell, _| states(cell, read));
         let columns = with_cell!(self.cell, |cell, _| state_width(cell, self.width));
-        let rows = kept.numbers().chunks_exact(columns);
-        (self.masked(rows.flat_map(|row| &row[..self.width]).copied().collect()), kept)
+        let outputs = match columns > self.width {
+            true => {
+                let rows = kept.numbers().chunks_exact(columns);
+                rows.flat_map(|row| &row[..self.width]).copied().collect()
+            }
+            false => kept.numbers().to_vec(),
+        };
+        (self.masked(outputs), kept)
     }
 
     fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
         let &Backward { read, kept, gradient, .. } = of;
         let columns = with_cell!(self.cell, |cell, _| state_width(cell, self.width));
-        let mut by_states = vec![0.0; kept.numbers().len()];
-        let by_outputs = self.masked(gradient.to_vec());
-        let rows = by_states.chunks_exact_mut(columns);
-        for (row, by) in rows.zip(by_outputs.chunks_exact(self.width)) {
-            row[..self.width].copy_from_slice(by);
+        let mut by_states = self.masked(gradient.to_vec());
+        if columns > self.width {
+            let mut rows = vec![0.0; kept.numbers().len()];
+            for (row, by) in rows.chunks_exact_mut(columns).zip(by_states.chunks(self.width)) {
+                row[..self.width].copy_from_slice(by);
+            }
+            by_states = rows;
         }
+        by_states.resize(kept.numbers().len(), 0.0); // without a gradient by its outputs
         let last = by_states.len() - self.after.len();
         by_states[last..].iter_mut().zip(self.after).for_each(|(by, after)| *by += after);
         with_cell!(self.cell, |cell, _| gradients(cell, read, kept, &by_states))

@@ -11,16 +11,16 @@ mod particles;
 
 use std::ops::Range;
 
-use super::{grid_context::GridContext, network::Model, state::StaticInputs};
+use super::{described::Model, grid_context::GridContext, state::StaticInputs};
 use eddy_inference::{
     checkpoint::plan::{Kind, Operation, POSITION},
     ops::cell::recurrent,
 };
 
 use self::{
-    core::{CellLayer, LinearLayer},
+    core::{CellOperation, LinearOperation},
     nodes::{Convolve, ToNodes, ToParticles},
-    particles::{Advance, Expect, FrameInputs, Max, MeanOfLinear, ParticleInputs},
+    particles::{Advance, Expect, FeaturesOfFrames, FeaturesOfParticles, Max, MeanOfLinear},
 };
 
 /// Some frames of some windows, and the weights that compute them.
@@ -163,6 +163,7 @@ impl Pass<'_> {
             let (read, gradient, wanted) = (&read, &gradient, &wanted);
             let own = operate.backward(&Backward { read, written, kept, gradient, wanted });
             drop(operate);
+            assert_eq!(own.len(), read.len(), "a gradient for each thing that is read");
             let mut own = own.into_iter();
             for (&list, own) in reads.iter().zip(own.by_ref()) {
                 add(&mut by.lists[list], own);
@@ -208,11 +209,15 @@ impl Pass<'_> {
         let particles = fixed.particles();
         match operation.kind {
             Kind::Expect => Box::new(Expect(&model.ballistic)),
-            Kind::ParticleFeatures => Box::new(ParticleInputs { features: &model.features, fixed }),
-            Kind::FrameFeatures => Box::new(FrameInputs { features: &model.frame_features, fixed }),
+            Kind::ParticleFeatures => {
+                Box::new(FeaturesOfParticles { features: &model.features, fixed })
+            }
+            Kind::FrameFeatures => {
+                Box::new(FeaturesOfFrames { features: &model.frame_features, fixed })
+            }
             Kind::Linear { activation, .. } => {
                 let width = model.plan.lists[operation.reads[0]].width;
-                Box::new(LinearLayer { activation, width })
+                Box::new(LinearOperation { activation, width })
             }
             Kind::MeanOfLinear { activation, .. } => {
                 Box::new(MeanOfLinear { activation, particles })
@@ -229,7 +234,7 @@ impl Pass<'_> {
             Kind::Cell { number, .. } => {
                 let mask = self.masks.get(number).map(Vec::as_slice);
                 let width = model.description.sizes.hidden;
-                Box::new(CellLayer { cell: model.cell, width, mask, after })
+                Box::new(CellOperation { cell: model.cell, width, mask, after })
             }
             Kind::Advance => Box::new(Advance(model)),
         }
@@ -245,7 +250,8 @@ fn tensors(layer: usize) -> [usize; 2] {
 fn add(sum: &mut Vec<f32>, more: Vec<f32>) {
     if sum.is_empty() {
         *sum = more;
-    } else {
+    } else if !more.is_empty() {
+        assert_eq!(sum.len(), more.len(), "gradients by the same list");
         sum.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
     }
 }

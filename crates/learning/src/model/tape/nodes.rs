@@ -101,7 +101,10 @@ impl Operate for Convolve<'_> {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
         let [rows, skip @ .., weight, bias] = read else { unreachable!("layers read rows") };
         let output = match self.tables(weight, bias) {
-            Tables::Gathered(layer) => layer.forward(rows),
+            Tables::Gathered(layer) => {
+                assert!(skip.is_empty(), "only layers that read parents have a skip connection");
+                layer.forward(rows)
+            }
             Tables::FromParents(layer) => {
                 let mut output = layer.forward(rows);
                 for skip in skip {

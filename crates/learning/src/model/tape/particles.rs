@@ -3,14 +3,14 @@
 use rayon::prelude::*;
 
 use super::{Backward, Kept, Operate, exactly};
-use crate::model::{network::Model, state::StaticInputs};
+use crate::model::{described::Model, state::StaticInputs};
 use eddy_inference::{
     checkpoint::{Activation, Architecture},
     kernels::encoder::{Encoder, Means},
     ops::{
         ballistic::Ballistic,
         decoder::StepGradient,
-        features::{Features, FrameFeatures, Trajectories},
+        features::{FrameFeatures, ParticleFeatures, Trajectories},
     },
 };
 
@@ -48,12 +48,12 @@ impl Operate for Expect<'_> {
 }
 
 /// The features of the particle model.
-pub(super) struct ParticleInputs<'a> {
-    pub(super) features: &'a Features,
+pub(super) struct FeaturesOfParticles<'a> {
+    pub(super) features: &'a ParticleFeatures,
     pub(super) fixed: &'a StaticInputs,
 }
 
-impl ParticleInputs<'_> {
+impl FeaturesOfParticles<'_> {
     /// Calls `work` with the particles. Each frame's velocities are compared with those expected one frame earlier.
     fn with<T>(&self, read: &[&[f32]], work: impl FnOnce(&Trajectories<'_>) -> T) -> T {
         let [position, velocity, first, coming] = exactly(read);
@@ -71,7 +71,7 @@ impl ParticleInputs<'_> {
     }
 }
 
-impl Operate for ParticleInputs<'_> {
+impl Operate for FeaturesOfParticles<'_> {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
         (self.with(read, |bodies| self.features.forward(bodies)), Kept::NOTHING)
     }
@@ -88,12 +88,12 @@ impl Operate for ParticleInputs<'_> {
 }
 
 /// The features of the frame model.
-pub(super) struct FrameInputs<'a> {
+pub(super) struct FeaturesOfFrames<'a> {
     pub(super) features: &'a FrameFeatures,
     pub(super) fixed: &'a StaticInputs,
 }
 
-impl Operate for FrameInputs<'_> {
+impl Operate for FeaturesOfFrames<'_> {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
         let [position, velocity] = exactly(read).map(pairs);
         (self.features.forward(position, velocity, &self.fixed.material), Kept::NOTHING)

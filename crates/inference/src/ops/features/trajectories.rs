@@ -3,7 +3,7 @@
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{Features, MATERIAL, ParticleInputs, SHAPE, STATE_COLUMNS, WALLS};
+use super::{MATERIAL, ParticleFeatures, ParticleInputs, SHAPE, STATE_COLUMNS, WALLS};
 use crate::{
     engine::scales::{BODY_SCALE, CONTACT_SCALE},
     kernels::rest_shape::{RestShape, SHAPE_FEATURES},
@@ -49,7 +49,7 @@ impl Trajectories<'_> {
     }
 }
 
-impl Features {
+impl ParticleFeatures {
     /// `[T R, F]`.
     pub fn forward(&self, bodies: &Trajectories) -> Vec<f32> {
         let (count, particles) = (self.count, bodies.particles());
@@ -104,7 +104,7 @@ impl Features {
 
 /// A block of a window's particles.
 struct Block<'a> {
-    features: &'a Features,
+    features: &'a ParticleFeatures,
     bodies: &'a Trajectories<'a>,
     /// From 0 to T B.
     window: usize,
@@ -148,6 +148,90 @@ impl WithSimd for Block<'_> {
         for (place, row) in rows.chunks_exact_mut(count).enumerate() {
             for (feature, number) in row.iter_mut().enumerate() {
                 *number = columns[feature * BLOCK + place];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::checkpoint::{Architecture, Core, Description, Sizes};
+    use eddy_frames::Material;
+
+    /// Particles of a frame: a liquid, then jelly.
+    const KINDS: [Material; 9] = [
+        Material::Liquid,
+        Material::Liquid,
+        Material::Jelly,
+        Material::Jelly,
+        Material::Jelly,
+        Material::Jelly,
+        Material::Jelly,
+        Material::Jelly,
+        Material::Jelly,
+    ];
+
+    proptest! {
+        #[test]
+        fn gradients_are_differences(seed in 0u32..10_000) {
+            const H: f32 = 1e-3;
+            let sizes = Sizes { encoder: 2, hidden: 2, layers: 1, particles: None };
+            let description = Description::untrained(Architecture::Particle, Core::Mlp, sizes);
+            let features = ParticleFeatures::new(&description);
+            let mut state = seed;
+            let mut number = |low: f32, high: f32| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                low + (high - low) * (state >> 8) as f32 / (1 << 24) as f32
+            };
+            // Two windows side by side, whose jelly is a block of particles at a distance of 0.1.
+            let material: Vec<Material> = [KINDS, KINDS].concat();
+            let rest: Vec<[f32; 2]> = (0..material.len())
+                .map(|p| [0.3 + 0.1 * (p % 9 % 3) as f32, 0.3 + 0.1 * (p % 9 / 3) as f32])
+                .collect();
+            let shape = RestShape::new(&rest, &material, 2, 0.1);
+            let numbers: Vec<u8> = material.iter().map(|&kind| kind as u8).collect();
+            let position: Vec<_> = rest.iter().map(|x| x.map(|x| x + number(-0.002, 0.002))).collect();
+            let mut speeds = || rest.iter().map(|_| [(); 2].map(|()| number(-1.0, 1.0))).collect();
+            let (velocity, expected): (Vec<[f32; 2]>, Vec<[f32; 2]>) = (speeds(), speeds());
+            let bodies = |position: &[[f32; 2]], velocity: &[[f32; 2]], expected: &[[f32; 2]]| {
+                let material = numbers.as_slice();
+                features.forward(&Trajectories {
+                    position, velocity, expected, material, rest: &shape, stiffness: None, windows: 2,
+                })
+            };
+            let found = bodies(&position, &velocity, &expected);
+            let weights: Vec<f32> = found.iter().map(|_| number(-1.0, 1.0)).collect();
+            let sum = |found: &[f32]| -> f64 {
+                found.iter().zip(&weights).map(|(x, by)| f64::from(x * by)).sum()
+            };
+            let by = features.backward(
+                &Trajectories {
+                    position: &position, velocity: &velocity, expected: &expected,
+                    material: &numbers, rest: &shape, stiffness: None, windows: 2,
+                },
+                &found,
+                &weights,
+            );
+            for particle in [0, 1, 2, 6, 10, 17] {
+                for axis in 0..2 {
+                    let slope = |part: usize| {
+                        let at = |step: f32| {
+                            let mut lists = [position.clone(), velocity.clone(), expected.clone()];
+                            lists[part][particle][axis] += step;
+                            sum(&bodies(&lists[0], &lists[1], &lists[2]))
+                        };
+                        (at(H) - at(-H)) / f64::from(2.0 * H)
+                    };
+                    let own = [&by.position, &by.velocity, &by.expected];
+                    for (part, own) in own.into_iter().enumerate() {
+                        let (found, expected) = (f64::from(own[particle][axis]), slope(part));
+                        let most = 0.05 + 0.01 * expected.abs();
+                        prop_assert!((found - expected).abs() < most, "{part}: {found}, {expected}");
+                    }
+                }
             }
         }
     }
