@@ -117,7 +117,7 @@ fn a_checkpoint_that_does_not_fit_is_refused_before_anything_is_written() {
     };
     says(
         &refused(&other("format_version = 2", "format_version = 99"), &weights),
-        &["model.toml", "format_version", "99", "expected 1 or 2"],
+        &["model.toml", "format_version", "99", "expected 1 to 3"],
     );
     let hidden = other("\nhidden = ", "\nhidden = 1");
     says(&refused(&hidden, &weights), &["model.safetensors", "found", "expected"]);

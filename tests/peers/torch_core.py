@@ -12,6 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 MATERIALS = ("liquid", "snow", "jelly", "rope")
+# Materials that a network has inputs for, unless its description says otherwise.
+MATERIAL_INPUTS = 4
 ACTIVATIONS = {"sigmoid": torch.sigmoid, "tanh": torch.tanh, "relu": functional.relu, "elu": functional.elu}
 
 # Hidden state carried from frame to frame: [layers, R, H], or a pair of these for an LSTM.

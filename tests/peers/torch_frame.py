@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from torch_core import ACTIVATIONS, MATERIALS, Bodies, State, core, options
+from torch_core import ACTIVATIONS, MATERIAL_INPUTS, Bodies, State, core, options
 
 
 class FrameModel(nn.Module):
@@ -22,7 +22,8 @@ class FrameModel(nn.Module):
         self.particles, self.dt, self.output = sizes["particles"], description["dt"], chosen["output"]
         self.pooling, self.one_hot = chosen["pooling"], chosen["material"] == "one-hot"
         self.activation = ACTIVATIONS[chosen["activation"]]
-        features, width, hidden = 4 + (len(MATERIALS) if self.one_hot else 1), sizes["encoder"], sizes["hidden"]
+        self.materials = description.get("material_inputs", MATERIAL_INPUTS)
+        features, width, hidden = 4 + (self.materials if self.one_hot else 1), sizes["encoder"], sizes["hidden"]
 
         self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, hidden)])
         self.core = core(description, 2 * hidden if self.pooling == "mean+max" else hidden)
@@ -47,10 +48,10 @@ class FrameModel(nn.Module):
         self.register_buffer("unit", unit, persistent=False)
 
     def matter(self, material: Tensor, _: Tensor | None = None) -> Tensor:
-        """Materials [B, N], indices into `MATERIALS`, as features [B, N, F - 4]; the rest shape is not used."""
+        """Materials [B, N], indices into `torch_core.MATERIALS`, as features [B, N, F - 4]; the rest shape is not used."""
         if self.one_hot:
-            return functional.one_hot(material, len(MATERIALS)).float()
-        return material.unsqueeze(-1) / (len(MATERIALS) - 1)
+            return functional.one_hot(material, self.materials).float()
+        return material.unsqueeze(-1) / (self.materials - 1)
 
     def forward(self, bodies: Bodies, matter: Tensor, state: State = None) -> tuple[Bodies, State]:
         """The frame after each of T frames, and the state after the last one; `matter` comes from `matter()`."""

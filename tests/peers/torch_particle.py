@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, conv_transpose2d, max_pool2d, one_hot, pad, relu
 
-from torch_core import MATERIALS, Bodies, State, core
+from torch_core import MATERIAL_INPUTS, MATERIALS, Bodies, State, core
 from torch_lattice import Elastic
 
 # Length scales of the proximity to walls (domain lengths).
@@ -24,8 +24,8 @@ VELOCITY_MARGIN = 0.25
 RANGE, MOST, FEWEST, FLATTEST = 2.1, 12, 3, 0.05
 # Scales of strain and bend, and the limit of the scaled values.
 SHAPE_SCALE, SHAPE_LARGEST = (10.0, 10.0, 10.0, 60.0, 60.0), 4.0
-# Velocity, velocity residual, wall impulse; four walls at two scales; shape; material.
-FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE) + len(MATERIALS)
+# Velocity, velocity residual, wall impulse; four walls at two scales; shape; without the material.
+FEATURES = 3 * 2 + 2 * 4 + len(SHAPE_SCALE)
 # The stiffness that is the feature 0, the decades that are 1, and the limit of the feature.
 MIDDLE_STIFFNESS, STIFFNESS_DECADES, MAX_STIFFNESS_FEATURE = 1e4, 1.5, 1.5
 
@@ -152,7 +152,8 @@ class ParticleModel(nn.Module):
         self.dt, self.spacing, self.cell = description["dt"], surroundings["spacing"], surroundings["cell_width"]
 
         self.is_conditioned = description.get("stiffness", False)
-        features, c0 = FEATURES + self.is_conditioned, channels[0]
+        self.materials = description.get("material_inputs", MATERIAL_INPUTS)
+        features, c0 = FEATURES + self.materials + self.is_conditioned, channels[0]
         self.encoder = nn.ModuleList([nn.Linear(features, width), nn.Linear(width, c0)])
         levels = []
         for level, own in enumerate(channels):
@@ -194,11 +195,11 @@ class ParticleModel(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def matter(self, material: Tensor, rest: Tensor, stiffness: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Static inputs: materials [B, N] as features [B, N, 4], with the stiffness [B] behind them, [B, N, 5], if the network
+        """Static inputs: materials [B, N] as features [B, N, M], with the stiffness [B] behind them, [B, N, M + 1], if the network
         is conditioned on it; and `rest_shape` of the rest positions [B, N, 2], which are those of a stream's first frame."""
         if (stiffness is not None) != self.is_conditioned:
             raise ValueError(f"found stiffness {stiffness}, expected {'one for each window' if self.is_conditioned else 'none'}")
-        features = one_hot(material, len(MATERIALS)).to(self.unit)
+        features = one_hot(material, self.materials).to(self.unit)
         if stiffness is not None:
             feature = torch.log10(stiffness.to(self.unit) / MIDDLE_STIFFNESS) / STIFFNESS_DECADES
             feature = feature.clamp(-MAX_STIFFNESS_FEATURE, MAX_STIFFNESS_FEATURE)

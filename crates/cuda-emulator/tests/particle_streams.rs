@@ -34,8 +34,9 @@ const TOLERANCE: f32 = 1e-5;
 fn descriptions() -> impl Strategy<Value = Description> {
     let channels = proptest::collection::vec(1usize..40, GridOptions::LEVELS);
     let widths = (1usize..40, 1usize..40, 1usize..3, channels);
-    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>());
-    (choices, widths).prop_map(|((core, [log, normalize_gates, stiffness]), widths)| {
+    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>(), 4usize..=6);
+    (choices, widths).prop_map(|((core, options, material_inputs), widths)| {
+        let [log, normalize_gates, stiffness] = options;
         let (encoder, hidden, layers, channels) = widths;
         let sizes = Sizes { encoder, hidden, layers, particles: None };
         let mut description = description(Architecture::Particle, core, sizes);
@@ -44,6 +45,8 @@ fn descriptions() -> impl Strategy<Value = Description> {
         description.form = if log { Form::Log } else { Form::Plain };
         description.normalize_gates = normalize_gates;
         description.stiffness = stiffness;
+        description.material_inputs = material_inputs;
+        description.format_version = Description::version(material_inputs);
         // Of a body of two random particles that nearly meet, the flight rule magnifies any difference.
         description.rules = Rules::default();
         description

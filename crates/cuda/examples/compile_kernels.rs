@@ -13,7 +13,7 @@ use std::{
 use eddy_cuda::{
     CudaError, dense,
     gpu::{Target, compile},
-    kernels::{Constants, Program},
+    kernels::{Constants, MATERIALS, Program},
     particle, solver,
 };
 use eddy_inference::checkpoint::{
@@ -80,6 +80,7 @@ fn programs() -> Result<Vec<Named>, CudaError> {
         output: FrameOutput::Displacement,
         form: Form::Plain,
         normalized: true,
+        material_inputs: MATERIALS,
     };
     let log = Constants { form: Form::Log, one_hot: false, ..paper.clone() };
     let unnormalized = Constants { core: Core::MinLstm, normalized: false, ..log.clone() };

@@ -3,8 +3,8 @@
 // Constants come from the network's description:
 //   DIM        axes of space
 //   N          particles of a window
-//   MATERIALS  kinds of matter
-//   ONE_HOT    1: a weight row a material, 0: one row for the material's number / (MATERIALS - 1)
+//   MATERIALS  kinds of matter; MATERIAL_INPUTS those that the network has inputs for
+//   ONE_HOT    1: a weight row a material, 0: one row for the material's number / (MATERIAL_INPUTS - 1)
 //   E, EL      width of the pointwise encoder, and the same rounded up to 4 (columns of its matrix)
 //   EP         E and the ones, rounded up to 8
 //   H, HP      width of the hidden state; with the ones, rounded up to 8
@@ -19,7 +19,7 @@
 // H on.
 #define LOG2E 1.4426950408889634f
 #define FEATURES (2 * DIM)
-#define INPUTS (FEATURES + (ONE_HOT ? MATERIALS : 1))
+#define INPUTS (FEATURES + (ONE_HOT ? MATERIAL_INPUTS : 1))
 
 #ifdef EMULATED
 #define exp2_approximate exp2f

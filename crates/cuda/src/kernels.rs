@@ -141,18 +141,27 @@ pub struct Constants {
     pub form: Form,
     /// Whether minLSTM's gates are divided by their sum.
     pub normalized: bool,
+    /// Materials that the network has inputs for.
+    pub material_inputs: usize,
 }
 
 impl Constants {
     /// Of a described frame model.
     ///
     /// # Errors
-    /// [`CudaError::Unsupported`] for the particle model.
+    /// [`CudaError::Unsupported`] for the particle model, and for inputs for materials that the kernels do not know.
     pub fn of(description: &Description) -> Result<Self> {
         let Some(particles) = description.sizes.particles else {
             let setting = "architecture particle".to_owned();
             return Err(CudaError::Unsupported { setting, expected: "architecture frame" });
         };
+        if description.material_inputs > MATERIALS {
+            let setting = format!("material_inputs = {}", description.material_inputs);
+            return Err(CudaError::Unsupported {
+                setting,
+                expected: "at most 4 for the frame model",
+            });
+        }
         Ok(Self {
             particles,
             one_hot: description.frame.material == MaterialInput::OneHot,
@@ -164,12 +173,13 @@ impl Constants {
             output: description.frame.output,
             form: description.form,
             normalized: description.normalize_gates,
+            material_inputs: description.material_inputs,
         })
     }
 
     /// Rows of the encoder's first matrix without the bias.
     pub fn inputs(&self) -> usize {
-        2 * AXES + if self.one_hot { MATERIALS } else { 1 }
+        2 * AXES + if self.one_hot { self.material_inputs } else { 1 }
     }
 
     /// E rounded up: columns of the encoder's first matrix.
@@ -224,6 +234,7 @@ impl Program for Constants {
         let own = [
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
+            ("MATERIAL_INPUTS", self.material_inputs),
             ("N", self.particles),
             ("ONE_HOT", usize::from(self.one_hot)),
             ("E", self.encoder),

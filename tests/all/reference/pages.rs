@@ -79,7 +79,8 @@ pub fn checkpoint() -> String {
     let version = shipped.description.format_version;
     keys[0].docs = format!(
         "Version of the format: {version}. Version 1, without `rules`, is also read; its particle models have the rules `area`, \
-         `shape`, `flight` and `rest`, and `area` removes all of the excess in a frame."
+         `shape`, `flight` and `rest`, and `area` removes all of the excess in a frame. Version 3 has `material_inputs`, and is written \
+         only where that is not 4."
     );
     let mut text = format!(
         "# Checkpoint\n\nA directory with `model.toml`, the description of the network, and `model.safetensors`, its weights: f32, or f16 \

@@ -277,8 +277,8 @@ fn what_is_damaged_or_newer_is_refused_by_name() {
     let newer = replaced("format_version = 1", "format_version = 99");
     damaged("last/resume.toml", &newer, &["format_version: found 99, expected 1"]);
     let newer = replaced("format_version = 2", "format_version = 99");
-    damaged("last/model.toml", &newer, &["format_version: found 99, expected 1 or 2"]);
-    damaged("model.toml", &newer, &["format_version: found 99, expected 1 or 2"]);
+    damaged("last/model.toml", &newer, &["format_version: found 99, expected 1 to 3"]);
+    damaged("model.toml", &newer, &["format_version: found 99, expected 1 to 3"]);
     damaged("last/resume.toml", &half, &["record: found", "expected the record of a run"]);
     damaged("last/resume.toml", &replaced("samples", "sample"), &["sample"]);
     damaged("last/resume.toml", &replaced("key = \"", "key = \"x"), &["64 hexadecimal digits"]);

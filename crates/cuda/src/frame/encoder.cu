@@ -25,7 +25,7 @@ __device__ __forceinline__ float material_bias(const float* w, int material, int
 #if ONE_HOT
   return bias + w[(FEATURES + material) * EL + j];
 #else
-  return bias + w[FEATURES * EL + j] * ((float)material / (MATERIALS - 1));
+  return bias + w[FEATURES * EL + j] * ((float)material / (MATERIAL_INPUTS - 1));
 #endif
 }
 
@@ -296,7 +296,7 @@ extern "C" __global__ void encoder_gradient(const float* __restrict__ g, const f
         else if (k < INPUTS && ONE_HOT) s += from[k * E];
         else
           for (int m = 0; m < MATERIALS; m++)
-            s += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIALS - 1));
+            s += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIAL_INPUTS - 1));
       }
       total = fmaf(g[(size_t)r * EP + j], s, total);
     }

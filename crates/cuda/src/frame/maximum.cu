@@ -172,7 +172,7 @@ extern "C" __global__ void maximum_sum(const float* __restrict__ parts, float* _
       if (k < FEATURES || (k < INPUTS && ONE_HOT)) total += from[k * E];
       else
         for (int m = 0; m < MATERIALS; m++)
-          total += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIALS - 1));
+          total += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIAL_INPUTS - 1));
     }
   sums[threadIdx.y][threadIdx.x] = total;
   __syncthreads();

@@ -46,6 +46,8 @@ pub(super) const SHARED: [usize; 2] = [72 << 10, 98 << 10];
 pub struct Constants {
     /// F.
     pub features: usize,
+    /// Materials that the network has inputs for.
+    pub material_inputs: usize,
     /// E.
     pub encoder: usize,
     /// H.
@@ -104,7 +106,8 @@ impl Constants {
         };
         let sizes = &description.sizes;
         let mut constants = Self {
-            features: particle_features(description.stiffness),
+            features: particle_features(description),
+            material_inputs: description.material_inputs,
             encoder: sizes.encoder,
             hidden: sizes.hidden,
             layers: sizes.layers,
@@ -201,6 +204,7 @@ impl Program for Constants {
         let own = [
             ("DIM", AXES),
             ("MATERIALS", MATERIALS),
+            ("MATERIAL_INPUTS", self.material_inputs),
             ("F", self.features),
             ("E", self.encoder),
             ("C0", self.channels[0]),

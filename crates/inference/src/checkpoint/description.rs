@@ -13,11 +13,16 @@ use super::{
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
 
-/// Version of the checkpoint format that is written. It increases when older files would be misread.
+/// Version of the format that a network without anything newer is written in.
 ///
 /// Version 1, which is also read, has no `[rules]`: its particle models always have [`Rules::STANDARD`], with a rate of the rule `area` of 1
-/// and the speeds .25 and 1 of the rule `rest`.
+/// and the speeds .25 and 1 of the rule `rest`. Version 3 has `material_inputs`: the networks of the versions before have
+/// [`MATERIAL_INPUTS`].
 pub const FORMAT_VERSION: u32 = 2;
+/// The latest version.
+const LATEST_VERSION: u32 = 3;
+/// Materials that a network has inputs for, unless its description says otherwise.
+pub const MATERIAL_INPUTS: usize = 4;
 
 /// Statistics of the features x, y, vx, vy over the training split only (domain lengths and domain lengths per second).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,7 +77,7 @@ pub struct TrainingSummary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Description {
-    /// [`FORMAT_VERSION`].
+    /// [`Description::version`].
     pub format_version: u32,
     /// Architecture of the network.
     pub architecture: Architecture,
@@ -103,6 +108,9 @@ pub struct Description {
     pub gravity: [f32; 2],
     /// Materials in the training data; others are rejected.
     pub materials: Vec<Material>,
+    /// Number of materials, from the first one on, that the network has inputs for.
+    #[serde(default = "material_inputs", skip_serializing_if = "is_usual")]
+    pub material_inputs: usize,
     /// Digest of the training data.
     pub data: String,
     /// Sizes of the layers.
@@ -128,6 +136,11 @@ pub struct Description {
 const INTERVAL_TOLERANCE: f32 = 1e-3;
 
 impl Description {
+    /// The first version of the format that has so many inputs for materials.
+    pub const fn version(material_inputs: usize) -> u32 {
+        if material_inputs == MATERIAL_INPUTS { FORMAT_VERSION } else { LATEST_VERSION }
+    }
+
     /// Whether a frame interval (s) is that of the network.
     pub fn has_interval(&self, dt: f32) -> bool {
         (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
@@ -147,7 +160,7 @@ impl Description {
     /// interval of 16 ms, the unit square, velocities up to 1 domain length per second.
     pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {
         Self {
-            format_version: FORMAT_VERSION,
+            format_version: Self::version(Material::COUNT),
             architecture,
             core,
             form: Form::default(),
@@ -159,6 +172,7 @@ impl Description {
             warm_up: 2,
             gravity: [0.0, -9.8],
             materials: Material::ALL.to_vec(),
+            material_inputs: Material::COUNT,
             data: String::new(),
             sizes,
             frame: FrameOptions::default(),
@@ -178,6 +192,16 @@ impl Description {
             training: TrainingSummary::default(),
         }
     }
+}
+
+/// The value that is omitted from the file.
+fn material_inputs() -> usize {
+    MATERIAL_INPUTS
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_usual(material_inputs: &usize) -> bool {
+    *material_inputs == MATERIAL_INPUTS
 }
 
 /// The value that is omitted from the file.
@@ -213,11 +237,15 @@ pub(super) fn parse(file: &Path, text: &str) -> Result<Description, CheckpointEr
             let rules = Rules::of_version_1(description.architecture);
             Ok(Description { format_version: FORMAT_VERSION, rules, ..description })
         }
-        Some(2) => toml::from_str(text).map_err(syntax),
+        Some(2) if table.contains_key("material_inputs") => {
+            let expected = "nothing before format version 3";
+            Err(field(file, "material_inputs", "a key".to_owned(), expected))
+        }
+        Some(2 | 3) => toml::from_str(text).map_err(syntax),
         _ => {
             let found =
                 table.get("format_version").map_or("nothing".to_owned(), ToString::to_string);
-            Err(field(file, "format_version", found, "1 or 2"))
+            Err(field(file, "format_version", found, "1 to 3"))
         }
     }
 }
@@ -237,6 +265,11 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     let finite = gravity.iter().all(|g| g.is_finite());
     require(finite, "gravity", &format!("{gravity:?}"), "finite numbers")?;
     require(!materials.is_empty(), "materials", &"[]", "at least one material")?;
+    let inputs = description.material_inputs;
+    require((2..=64).contains(&inputs), "material_inputs", &inputs, "2 to 64")?;
+    let found = format!("{materials:?}");
+    let known = materials.iter().all(|&material| usize::from(material as u8) < inputs);
+    require(known, "materials", &found, &format!("the first {inputs} materials"))?;
     // The upper limit keeps a damaged description from exhausting the memory.
     for (name, width) in [
         ("sizes.encoder", sizes.encoder),

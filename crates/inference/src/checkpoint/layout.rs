@@ -36,20 +36,19 @@ use super::{
     CheckpointError, Description, MaterialInput, Weights,
     plan::{LinearLayer, Plan},
 };
-use eddy_frames::Material;
 
 /// Number of input features of the frame model: x, y, vx, vy and the material.
-pub fn frame_features(material: MaterialInput) -> usize {
-    match material {
-        MaterialInput::OneHot => 4 + Material::COUNT,
+pub fn frame_features(description: &Description) -> usize {
+    match description.frame.material {
+        MaterialInput::OneHot => 4 + description.material_inputs,
         MaterialInput::Scalar => 5,
     }
 }
 
-/// Number of input features of the particle model, which [`features`](crate::ops::features) lists; the stiffness of the stream,
-/// if the network is conditioned on it, is the last.
-pub fn particle_features(stiffness: bool) -> usize {
-    19 + Material::COUNT + usize::from(stiffness)
+/// Number of input features of the particle model, which [`features`](crate::ops::features) lists; the stiffness of the stream, if the
+/// network is conditioned on it, is the last.
+pub fn particle_features(description: &Description) -> usize {
+    19 + description.material_inputs + usize::from(description.stiffness)
 }
 
 /// Inputs of a node beside the channels: its mass, and its proximity to each wall.

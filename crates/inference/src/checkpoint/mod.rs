@@ -26,7 +26,9 @@ pub mod plan;
 mod rules;
 
 pub(crate) use description::field;
-pub use description::{Description, FORMAT_VERSION, Normalization, TrainingSummary};
+pub use description::{
+    Description, FORMAT_VERSION, MATERIAL_INPUTS, Normalization, TrainingSummary,
+};
 pub use error::CheckpointError;
 pub use files::{DESCRIPTION_FILE, WEIGHTS_FILE};
 pub use files::{parse_weights, render_weights};

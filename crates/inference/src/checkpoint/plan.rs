@@ -231,7 +231,7 @@ impl Plan {
     fn encode_frame(&mut self, description: &Description) -> Vec<usize> {
         let Description { frame, sizes, .. } = description;
         let (activation, pooling) = (frame.activation, frame.pooling);
-        let width = frame_features(frame.material);
+        let width = frame_features(description);
         let read = &[POSITION, VELOCITY];
         let features = self.add(Kind::FrameFeatures, read, List { rows: Rows::Particles, width });
         let first = self.layer(names("encoder.0"), width, sizes.encoder, 1);
@@ -260,10 +260,10 @@ impl Plan {
 
     /// The particle model up to its core, which reads this list.
     fn encode_particles(&mut self, description: &Description) -> Vec<usize> {
-        let Description { sizes, grid, stiffness, .. } = description;
+        let Description { sizes, grid, .. } = description;
         let grid = grid.as_ref().expect("checked descriptions of particle models have one");
         let rows = Rows::Particles;
-        let width = particle_features(*stiffness);
+        let width = particle_features(description);
         let expected = self.add(Kind::Expect, &[POSITION, VELOCITY], List { rows, width: 2 });
         let read = &[POSITION, VELOCITY, EXPECTED, expected];
         let features = self.add(Kind::ParticleFeatures, read, List { rows, width });

@@ -21,6 +21,7 @@ fn checkpoint() -> Checkpoint {
         warm_up: 5,
         gravity: [0.0, -9.8],
         materials: vec![Material::Liquid, Material::Rope],
+        material_inputs: MATERIAL_INPUTS,
         data: "0123".to_owned(),
         sizes: Sizes { encoder: 3, hidden: 2, layers: 1, particles: None },
         frame: FrameOptions::default(),
@@ -210,8 +211,33 @@ fn the_digest_is_the_hash_of_the_two_files() {
 
 #[test]
 fn a_later_version_is_rejected_before_its_keys_are_parsed() {
-    let later = edit_description("format_version = 2", "format_version = 3\nfuture = true");
-    assert_eq!(rejection(later), "x/model.toml: format_version: found 3, expected 1 or 2");
+    let later = edit_description("format_version = 2", "format_version = 4\nfuture = true");
+    assert_eq!(rejection(later), "x/model.toml: format_version: found 4, expected 1 to 3");
+}
+
+#[test]
+fn a_network_with_more_inputs_for_materials_has_the_next_version() {
+    let mut description = checkpoint().description;
+    assert_eq!(description.format_version, 2);
+    description.material_inputs = 5;
+    description.format_version = Description::version(5);
+    let wider = Checkpoint::new(description.clone(), initial_weights(&description, 1));
+    let folder = tempfile::tempdir().unwrap();
+    wider.save(folder.path()).unwrap();
+    assert_eq!(Checkpoint::load(folder.path()).unwrap(), wider);
+    let text = fs::read_to_string(folder.path().join(DESCRIPTION_FILE)).unwrap();
+    assert!(text.starts_with("format_version = 3\n") && text.contains("material_inputs = 5\n"));
+    let columns = |checkpoint: &Checkpoint| checkpoint.tensors["encoder.0.weight"].shape[1];
+    assert_eq!(columns(&wider), columns(&checkpoint()) + 1);
+
+    let message = rejection(edit_description("data = ", "material_inputs = 5\ndata = "));
+    let expected = "material_inputs: found a key, expected nothing before format version 3";
+    assert_eq!(message, format!("x/model.toml: {expected}"));
+    description.material_inputs = 3;
+    let narrow = Checkpoint::new(description.clone(), initial_weights(&description, 1));
+    let message = narrow.check(Path::new("x")).unwrap_err().to_string();
+    let expected = "materials: found [Liquid, Rope], expected the first 3 materials";
+    assert_eq!(message, format!("x/model.toml: {expected}"));
 }
 
 #[test]

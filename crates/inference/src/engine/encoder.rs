@@ -15,7 +15,7 @@ use crate::{
         linear::packed::{Aligned, Linear, add_products, outputs},
     },
 };
-use eddy_frames::{Material, Particles};
+use eddy_frames::Particles;
 
 /// Independent partial sums: point n is added to sum n mod 4.
 const PARTIAL_SUMS: usize = 4;
@@ -45,27 +45,26 @@ impl Encoder {
     ) -> Self {
         let Description { sizes, frame, .. } = description;
         let [weights, biases] = layout::names("encoder.0").map(|name| &tensors[&name].values);
-        let features = layout::frame_features(frame.material);
+        let count = layout::frame_features(description);
+        let features = FrameFeatures::new(description);
         let panels = sizes.encoder.div_ceil(lanes);
         let mut weight = Aligned::zeros(panels * STATE * lanes);
-        let mut base = Aligned::zeros(Material::COUNT * panels * lanes);
-        for (unit, row) in weights.chunks_exact(features).enumerate() {
+        let mut base = Aligned::zeros(description.material_inputs * panels * lanes);
+        for (unit, row) in weights.chunks_exact(count).enumerate() {
             let (panel, lane) = (unit / lanes, unit % lanes);
             for (feature, number) in row[..STATE].iter().enumerate() {
                 weight.get_mut()[(panel * STATE + feature) * lanes + lane] = *number;
             }
-            for material in Material::ALL {
-                let number = material as u8;
+            for number in 0..description.material_inputs {
                 let part = match frame.material {
-                    MaterialInput::OneHot => row[STATE + usize::from(number)],
-                    MaterialInput::Scalar => row[STATE] * FrameFeatures::number(number),
+                    MaterialInput::OneHot => row[STATE + number],
+                    MaterialInput::Scalar => row[STATE] * features.number(number as u8),
                 };
-                let at = (usize::from(number) * panels + panel) * lanes + lane;
+                let at = (number * panels + panel) * lanes + lane;
                 base.get_mut()[at] = biases[unit] + part;
             }
         }
         let (activation, width) = (frame.activation, sizes.encoder);
-        let features = FrameFeatures::new(description);
         Self { lanes, width, activation, features, weight, base }
     }
 

@@ -153,7 +153,7 @@ fn a_state_that_forgot_its_frames_keeps_the_rest_shape() {
 #[test]
 fn units_that_ignore_the_features_still_have_what_is_gathered() {
     let frames = frames(3, 200, 4);
-    let features = particle_features(false);
+    let features = particle_features(&particle_model(Core::MinGru).description);
     let with = |weight: f32| {
         let mut checkpoint = particle_model(Core::MinGru);
         let Weights { shape, values } = checkpoint.tensors.get_mut("context.weight").unwrap();

@@ -14,7 +14,6 @@ use super::{
     state::{StaticInputs, pairs},
     strain,
 };
-use eddy_frames::Material;
 use eddy_inference::checkpoint::{
     Architecture, FrameOutput,
     plan::{EXPECTED, Kind, Operation, POSITION, VELOCITY},
@@ -172,14 +171,15 @@ impl Pass<'_> {
         self.definition.scaling.frame(options, [position, velocity], constants)
     }
 
-    /// Features that do not change: materials, one-hot, then the stiffness, if the network is conditioned on it, `[T R, 4]` or
-    /// `[T R, 5]`.
+    /// Features that do not change: materials, one-hot, then the stiffness, if the network is conditioned on it, `[T R, M]` or
+    /// `[T R, M + 1]`.
     fn constants(&self, device: &Device) -> Tensor<2> {
         let StaticInputs { material, stiffness, .. } = self.fixed;
         let particles = self.fixed.particles();
         let row = |(row, &material): (usize, &u8)| {
-            let one_hot = Material::ALL.map(|kind| f32::from(u8::from(kind as u8 == material)));
-            one_hot.into_iter().chain(stiffness.iter().map(move |all| all[row / particles]))
+            let kinds = 0..self.model.description.material_inputs;
+            let one_hot = kinds.map(move |kind| f32::from(u8::from(kind == usize::from(material))));
+            one_hot.chain(stiffness.iter().map(move |all| all[row / particles]))
         };
         let numbers: Vec<f32> = material.iter().enumerate().flat_map(row).collect();
         let width = numbers.len() / material.len();

@@ -77,13 +77,17 @@ fn rules() -> impl Strategy<Value = Rules> {
 /// Descriptions of all kinds, with the number of particles to predict.
 fn descriptions() -> impl Strategy<Value = (Description, usize)> {
     let sizes = (1usize..50, 1usize..50, 1usize..4, 1usize..120);
-    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>(), frame_options(), grid(), rules());
+    let options = (frame_options(), grid(), rules(), 4usize..=6);
+    let choices = (select(&Core::ALL[..]), any::<[bool; 3]>(), options);
     (any::<bool>(), choices, sizes).prop_map(
         |(whole, choices, (encoder, hidden, layers, particles))| {
-            let (core, [log, normalize_gates, stiffness], frame, grid, rules) = choices;
+            let (core, [log, normalize_gates, stiffness], options) = choices;
+            let (frame, grid, rules, material_inputs) = options;
             let architecture = if whole { Architecture::Frame } else { Architecture::Particle };
             let sizes = Sizes { encoder, hidden, layers, particles: whole.then_some(particles) };
             let description = Description {
+                format_version: Description::version(material_inputs),
+                material_inputs,
                 form: if log { Form::Log } else { Form::Plain },
                 normalize_gates,
                 stiffness: stiffness && !whole,

@@ -3,17 +3,16 @@
 use burn::tensor::{Device, Tensor};
 
 use super::ballistic::BallisticTensors;
-use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{FeatureScaling, FrameOptions, MaterialInput, Normalization},
     engine::scales::{BODY_SCALE, CONTACT_SCALE, velocity_unit},
 };
 
-/// Each material's number divided by the largest, `[4, 1]`.
-fn material_numbers(device: &Device) -> Tensor<2> {
-    let largest = (Material::COUNT - 1) as f32;
-    let numbers = Material::ALL.map(|material| f32::from(material as u8) / largest);
-    Tensor::<1>::from_floats(numbers, device).reshape([Material::COUNT, 1])
+/// The number of each material that is one feature, `[M, 1]`.
+fn material_numbers(materials: usize, device: &Device) -> Tensor<2> {
+    let largest = (materials - 1) as f32;
+    let numbers: Vec<f32> = (0..materials).map(|material| material as f32 / largest).collect();
+    Tensor::<1>::from_floats(numbers.as_slice(), device).reshape([materials, 1])
 }
 
 /// The normalisation of both networks, as tensors.
@@ -52,7 +51,7 @@ impl Scaling {
         mean + scaled * deviation
     }
 
-    /// Input of the frame model, `[R, F]`. `material` is one-hot, `[R, 4]`.
+    /// Input of the frame model, `[R, F]`. `material` is one-hot, `[R, M]`.
     pub(crate) fn frame(
         &self,
         options: &FrameOptions,
@@ -66,7 +65,10 @@ impl Scaling {
         };
         let material = match options.material {
             MaterialInput::OneHot => material,
-            MaterialInput::Scalar => material.matmul(material_numbers(&state.device())),
+            MaterialInput::Scalar => {
+                let [_, materials] = material.dims();
+                material.matmul(material_numbers(materials, &state.device()))
+            }
         };
         Tensor::cat(vec![state, material], 1)
     }

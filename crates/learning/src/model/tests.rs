@@ -213,6 +213,7 @@ fn every_option() -> Vec<Description> {
         frame(Core::Gru, |d| d.frame.pooling = Pooling::MeanMax),
         frame(Core::MinGru, |d| d.frame.material = MaterialInput::Scalar),
         frame(Core::MinGru, |d| d.frame.scaling = FeatureScaling::ZScore),
+        frame(Core::MinGru, |d| d.material_inputs = 6),
         frame(Core::MinGru, |d| d.frame.output = FrameOutput::Residual),
         frame(Core::MinGru, |d| d.frame.output = FrameOutput::Position),
     ]);

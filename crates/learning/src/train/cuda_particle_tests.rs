@@ -189,7 +189,11 @@ fn scale<'a>(
 /// Steps on the CPU and in the emulator, each from the same weights on the same windows. Where a unit is so close to the bend of
 /// its ReLU that the last bits of the weights decide on its gradient, the gradients may differ by what these bits change.
 fn compare(config: &TrainConfig, streams: &[Trajectory]) {
-    let description = description(config);
+    compare_network(config, description(config), streams);
+}
+
+/// The same of a network that the settings do not describe.
+fn compare_network(config: &TrainConfig, description: Description, streams: &[Trajectory]) {
     let unroll = config.unroll[0].frames;
     let sampler = Sampler::new(streams, &config.windows, unroll).unwrap();
     let mut state = RunState::new(config, &description, None);
@@ -274,6 +278,9 @@ fn a_network_conditioned_on_the_stiffness_of_each_stream_takes_the_steps_of_the_
     let mut config = config(Core::MinGru);
     config.network.stiffness = true;
     compare(&config, &streams());
+    // With inputs for materials that nobody knows yet.
+    let material_inputs = 6;
+    compare_network(&config, Description { material_inputs, ..description(&config) }, &streams());
 }
 
 #[test]

@@ -379,6 +379,13 @@ fn gpus_do_not_cut_gradients_of_the_frame_model() {
 }
 
 #[test]
+fn inputs_for_materials_that_the_kernels_do_not_know_are_refused_for_the_frame_model() {
+    let description = Description { material_inputs: 6, ..description(&config(Core::MinGru)) };
+    let refused = Constants::of(&description).unwrap_err().to_string();
+    assert!(refused.contains("material_inputs = 6"), "{refused}");
+}
+
+#[test]
 fn muon_on_gpus_is_not_for_the_frame_model() {
     let mut config = config(Core::MinGru);
     config.optimizer.kind = OptimizerKind::Muon;

@@ -7,8 +7,7 @@ use eddy_dataset::Dataset;
 use eddy_evaluation::LinearFit;
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Checkpoint, Description, ElasticRule, FORMAT_VERSION, Rules, TrainingSummary,
-    WeightFormat,
+    Architecture, Checkpoint, Description, ElasticRule, Rules, TrainingSummary, WeightFormat,
 };
 
 /// The description of the untrained network.
@@ -37,7 +36,7 @@ pub(super) fn describe(
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
     let elastic = elastic_rule(config, dataset.spacing, first.dt)?;
     Ok(Description {
-        format_version: FORMAT_VERSION,
+        format_version: Description::version(Material::COUNT),
         architecture: config.architecture,
         core: config.core,
         form: config.network.form,
@@ -50,6 +49,7 @@ pub(super) fn describe(
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,
         materials: materials.into_iter().collect(),
+        material_inputs: Material::COUNT,
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
         frame: config.network.frame,
@@ -130,6 +130,15 @@ pub(super) fn start_from(
         if found != expected {
             return other("domain", found.to_string(), expected.to_string());
         }
+    }
+    description.material_inputs = start.material_inputs;
+    description.format_version = Description::version(start.material_inputs);
+    let inputs = start.material_inputs;
+    if let Some(material) =
+        description.materials.iter().find(|&&kind| usize::from(kind as u8) >= inputs)
+    {
+        let expected = format!("the first {inputs} materials");
+        return other("material", material.name().to_owned(), expected);
     }
     description.training.start = Some(digest);
     description.normalization = start.normalization.clone();

@@ -91,7 +91,7 @@ fn batch_numbers(
         }
         // Without nodes: there are fewer than particles.
         Architecture::Particle => {
-            let features = particle_features(description.stiffness);
+            let features = particle_features(description);
             (particles, features + encoder + 2 * hidden + gates, 0)
         }
     };

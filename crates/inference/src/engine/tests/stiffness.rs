@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    checkpoint::tensors_of_knots,
+    checkpoint::{MATERIAL_INPUTS, tensors_of_knots},
     engine::{StepRequest, scales::stiffness_feature},
 };
 
@@ -71,22 +71,32 @@ fn streams_have_the_weights_of_their_stiffness() {
 }
 
 #[test]
-fn a_network_that_ignores_the_stiffness_predicts_as_an_unconditioned_one() {
+fn a_network_that_ignores_another_feature_predicts_as_one_without_it() {
     let plain = particle_model(Core::MinGru);
-    let mut conditioned = plain.clone();
-    conditioned.description.stiffness = true;
-    let features = particle_features(false);
-    for layer in ["encoder.0.weight", "context.weight"] {
-        let Weights { shape, values } = conditioned.tensors.get_mut(layer).unwrap();
-        let rows = values.chunks(shape[1]);
-        let wider = rows.map(|row| [&row[..features], &[0.0], &row[features..]].concat());
-        *values = wider.collect::<Vec<_>>().concat();
-        shape[1] += 1;
-    }
+    let features = particle_features(&plain.description);
     let frames = frames(3, 200, 4);
-    let [plain, conditioned] = [plain, conditioned]
-        .map(|checkpoint| predict(&Surrogate::load(&checkpoint, threads(1)).unwrap(), &frames));
-    assert_eq!(plain, conditioned);
+    let predict = |checkpoint: &Checkpoint| {
+        predict(&Surrogate::load(checkpoint, threads(1)).unwrap(), &frames)
+    };
+    let others: [fn(&mut Description); 2] = [
+        |description| description.stiffness = true,
+        |description| {
+            description.material_inputs = MATERIAL_INPUTS + 1;
+            description.format_version = Description::version(MATERIAL_INPUTS + 1);
+        },
+    ];
+    for change in others {
+        let mut wider = plain.clone();
+        change(&mut wider.description);
+        for layer in ["encoder.0.weight", "context.weight"] {
+            let Weights { shape, values } = wider.tensors.get_mut(layer).unwrap();
+            let rows = values.chunks(shape[1]);
+            let rows = rows.map(|row| [&row[..features], &[0.0], &row[features..]].concat());
+            *values = rows.collect::<Vec<_>>().concat();
+            shape[1] += 1;
+        }
+        assert_eq!(predict(&wider), predict(&plain));
+    }
 }
 
 #[test]

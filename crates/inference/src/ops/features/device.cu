@@ -12,7 +12,7 @@
 #define SHAPE_FROM (7 * DIM)
 #define SHAPE_FEATURES 5
 #define MATERIAL_FROM (SHAPE_FROM + SHAPE_FEATURES)
-#define STIFFNESS_FROM (MATERIAL_FROM + MATERIALS)
+#define STIFFNESS_FROM (MATERIAL_FROM + MATERIAL_INPUTS)
 __device__ __forceinline__ float exponential(float x) { return exp2_approximate(LOG2E * x); }
 
 // Deformation gradient and bend of a particle with these links (`deformation`).

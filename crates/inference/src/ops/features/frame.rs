@@ -4,7 +4,6 @@
 use crate::checkpoint::{
     Description, FeatureScaling, MaterialInput, Normalization, layout::frame_features,
 };
-use eddy_frames::Material;
 
 /// Features that change from frame to frame: x, y, vx, vy.
 pub(crate) const STATE: usize = 4;
@@ -17,6 +16,10 @@ pub struct FrameFeatures {
     /// Divisor of the difference.
     range: [f32; STATE],
     material: MaterialInput,
+    /// Materials that there are inputs for.
+    materials: usize,
+    /// F.
+    count: usize,
 }
 
 impl FrameFeatures {
@@ -30,7 +33,13 @@ impl FrameFeatures {
             }
             FeatureScaling::ZScore => (mean, standard_deviation),
         };
-        Self { origin, range, material: description.frame.material }
+        Self {
+            origin,
+            range,
+            material: description.frame.material,
+            materials: description.material_inputs,
+            count: frame_features(description),
+        }
     }
 
     /// x, y, vx, vy of a particle, scaled.
@@ -44,8 +53,8 @@ impl FrameFeatures {
     }
 
     /// The number of a material that is one feature.
-    pub(crate) fn number(material: u8) -> f32 {
-        f32::from(material) / (Material::COUNT - 1) as f32
+    pub(crate) fn number(&self, material: u8) -> f32 {
+        f32::from(material) / (self.materials - 1) as f32
     }
 
     /// The features of all particles of T frames, `[T R, F]`, from positions and velocities, `[T R]`, and the numbers of their
@@ -56,14 +65,14 @@ impl FrameFeatures {
         velocity: &[[f32; 2]],
         material: &[u8],
     ) -> Vec<f32> {
-        let count = frame_features(self.material);
+        let count = self.count;
         let mut features = vec![0.0; position.len() * count];
         let bodies = position.iter().zip(velocity).zip(material.iter().cycle());
         for (row, ((x, v), &material)) in features.chunks_exact_mut(count).zip(bodies) {
             row[..STATE].copy_from_slice(&self.state(*x, *v));
             match self.material {
                 MaterialInput::OneHot => row[STATE + usize::from(material)] = 1.0,
-                MaterialInput::Scalar => row[STATE] = Self::number(material),
+                MaterialInput::Scalar => row[STATE] = self.number(material),
             }
         }
         features
@@ -72,7 +81,7 @@ impl FrameFeatures {
     /// The gradients by positions and velocities from `gradient`, that by the features, `[T R, F]`.
     pub fn backward(&self, gradient: &[f32]) -> [Vec<[f32; 2]>; 2] {
         [0, 2].map(|first| {
-            let rows = gradient.chunks_exact(frame_features(self.material));
+            let rows = gradient.chunks_exact(self.count);
             rows.map(|by| [first, first + 1].map(|axis| by[axis] / self.range[axis])).collect()
         })
     }

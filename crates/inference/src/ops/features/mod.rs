@@ -7,7 +7,7 @@
 //! | 2 | wall impulse: velocity change at a wall in the coming ballistic step; likewise |
 //! | 8 | proximity exp(-d / s) to the left, lower, right, upper wall at the scale s = [`CONTACT_SCALE`], then [`BODY_SCALE`] |
 //! | 5 | shape of solids ([`rest_shape`](crate::kernels::rest_shape)): strain xx, yy, xy, bend along x and y |
-//! | 4 | material, one-hot |
+//! | 4 | material, one-hot; as many as `material_inputs` says |
 //! | 1 | stiffness of the stream, [`stiffness_feature`]; only of a network that is conditioned on it |
 //!
 //! [`stiffness_feature`]: crate::engine::scales::stiffness_feature
@@ -43,7 +43,7 @@ use crate::{
         rest_shape::{RestShape, SHAPE_FEATURES},
     },
 };
-use eddy_frames::{Domain, Material};
+use eddy_frames::Domain;
 
 /// The features of the particle model on GPUs.
 pub const DEVICE: &str = include_str!("device.cu");
@@ -59,8 +59,6 @@ pub(crate) const STATE_COLUMNS: usize = 10;
 const WALLS: usize = 6;
 const SHAPE: usize = WALLS + PROXIMITIES;
 const MATERIAL: usize = SHAPE + SHAPE_FEATURES;
-/// The stiffness of the stream, if the network is conditioned on it.
-const STIFFNESS: usize = MATERIAL + Material::COUNT;
 
 /// Scale of the features, and the ballistic step they refer to.
 #[derive(Clone, Debug)]
@@ -92,7 +90,7 @@ impl ParticleFeatures {
         Self {
             ballistic: Ballistic::new(description),
             domain: description.domain,
-            count: particle_features(description.stiffness),
+            count: particle_features(description),
             velocity_unit: velocity_unit(&description.normalization),
         }
     }
@@ -120,7 +118,8 @@ impl ParticleFeatures {
         let (shape, last) = columns.split_at_mut(MATERIAL * length);
         last.fill(0.0);
         if let Some(stiffness) = stiffness {
-            last[(STIFFNESS - MATERIAL) * length..].fill(*stiffness);
+            // The last feature.
+            last[(self.count - 1 - MATERIAL) * length..].fill(*stiffness);
         }
         for (place, &particle) in particles.iter().enumerate() {
             let particle = particle as usize;

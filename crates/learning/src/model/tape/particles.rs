@@ -11,6 +11,7 @@ use eddy_inference::{
         ballistic::Ballistic,
         decoder::StepGradient,
         features::{FrameFeatures, ParticleFeatures, Trajectories},
+        linear::Linear,
     },
 };
 
@@ -105,7 +106,8 @@ impl Operate for FeaturesOfFrames<'_> {
     }
 }
 
-/// The mean over the particles of a frame of a linear layer with an activation; keeps sums of slopes.
+/// The mean over the particles of a frame of a linear layer with an activation; keeps sums of slopes for the usual numbers of features,
+/// otherwise all activations.
 pub(super) struct MeanOfLinear {
     pub(super) activation: Activation,
     /// N.
@@ -113,31 +115,57 @@ pub(super) struct MeanOfLinear {
 }
 
 impl MeanOfLinear {
-    /// Its layer, of F features.
+    /// Its layer of F features, without a list of all particles' activations.
     fn encoder<'a, const F: usize>(&self, [weight, bias]: [&'a [f32]; 2]) -> Encoder<'a, F> {
         Encoder { weight, bias, particles: self.particles }
+    }
+
+    /// Its layer of any number of features.
+    fn linear<'a>(&self, [weight, bias]: [&'a [f32]; 2]) -> Linear<'a> {
+        Linear { weight, bias, activation: Some(self.activation) }
     }
 }
 
 impl Operate for MeanOfLinear {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
-        let [points, weight, bias] = exactly(read);
-        let Means { means, slopes } = match weight.len() / bias.len() {
-            5 => self.encoder::<5>([weight, bias]).forward(self.activation, points),
-            8 => self.encoder::<8>([weight, bias]).forward(self.activation, points),
-            other => unreachable!("{other} features: the material is one input or four"),
+        let [points, layer @ ..] = exactly::<_, 3>(read);
+        let width = layer[1].len();
+        let Means { means, slopes } = match layer[0].len() / width {
+            5 => self.encoder::<5>(layer).forward(self.activation, points),
+            8 => self.encoder::<8>(layer).forward(self.activation, points),
+            _ => {
+                let all = self.linear(layer).forward(points);
+                let windows = all.chunks_exact(self.particles * width);
+                let share = 1.0 / self.particles as f32;
+                let mean = |window: &[f32], unit| {
+                    share * window.iter().skip(unit).step_by(width).sum::<f32>()
+                };
+                let means = windows
+                    .flat_map(|window| (0..width).map(move |unit| mean(window, unit)))
+                    .collect();
+                Means { means, slopes: all }
+            }
         };
         (means, Kept::Numbers(slopes))
     }
 
     fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
         let &Backward { read, kept, gradient, wanted, .. } = of;
-        let [points, weight, bias] = exactly(read);
-        let (activation, slopes, wanted) = (self.activation, kept.numbers(), wanted[0]);
-        let layer = [weight, bias];
-        let by = match weight.len() / bias.len() {
-            5 => self.encoder::<5>(layer).backward(activation, points, slopes, gradient, wanted),
-            _ => self.encoder::<8>(layer).backward(activation, points, slopes, gradient, wanted),
+        let [points, layer @ ..] = exactly::<_, 3>(read);
+        let (activation, kept, wanted) = (self.activation, kept.numbers(), wanted[0]);
+        let width = layer[1].len();
+        let by = match layer[0].len() / width {
+            5 => self.encoder::<5>(layer).backward(activation, points, kept, gradient, wanted),
+            8 => self.encoder::<8>(layer).backward(activation, points, kept, gradient, wanted),
+            _ => {
+                let share = 1.0 / self.particles as f32;
+                let of_window = |by: &[f32]| {
+                    by.iter().map(|by| share * by).collect::<Vec<_>>().repeat(self.particles)
+                };
+                let by_all: Vec<f32> = gradient.chunks_exact(width).flat_map(of_window).collect();
+                let by = self.linear(layer).backward(points, kept, &by_all, wanted, true);
+                return vec![by.input, by.weight, by.bias];
+            }
         };
         vec![by.points, by.weight, by.bias]
     }
