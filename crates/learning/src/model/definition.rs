@@ -46,18 +46,8 @@ impl Definition {
     /// All operations.
     pub(crate) fn run(&self, model: &Model, inputs: Inputs) -> Outputs {
         let Inputs { frames, position, velocity, expected, states, fixed, masks } = inputs;
-        let grid = model.grid(&pairs(position.clone()), &fixed, frames);
-        let mut pass = Pass {
-            definition: self,
-            model,
-            frames,
-            fixed: &fixed,
-            masks: &masks,
-            grid,
-            lists: vec![None; model.plan.lists.len()],
-            before: states,
-            after: Vec::new(),
-        };
+        let mut pass = self.pass(model, frames, &fixed, &masks, states);
+        pass.grid = model.grid(&pairs(position.clone()), &fixed, frames);
         for (list, tensor) in [(POSITION, position), (VELOCITY, velocity), (EXPECTED, expected)] {
             pass.lists[list] = Some(tensor);
         }
@@ -71,22 +61,38 @@ impl Definition {
     pub(crate) fn core(&self, model: &Model, input: Tensor<3>) -> Tensor<3> {
         let [frames, rows, width] = input.dims();
         let [layers, columns] = model.state_shape(rows);
-        let mut pass = Pass {
-            definition: self,
-            model,
-            frames,
-            fixed: &StaticInputs::new(&[], &[], 1, None, None),
-            masks: &[],
-            grid: None,
-            lists: vec![None; model.plan.lists.len()],
-            before: Tensor::zeros([layers, columns], &input.device()),
-            after: Vec::new(),
-        };
+        let before = Tensor::zeros([layers, columns], &input.device());
+        let fixed = StaticInputs::new(&[], &[], 1, None, None);
+        let mut pass = self.pass(model, frames, &fixed, &[], before);
         let &[list] = model.plan.core_inputs() else { panic!("a core that reads one list") };
         pass.lists[list] = Some(input.reshape([frames * rows, width]));
         model.plan.operations[model.plan.core.clone()].iter().for_each(|one| pass.run(one));
         let output = pass.list(model.plan.core_output());
         output.reshape([frames, rows, model.description.sizes.hidden])
+    }
+
+    /// A pass before its first operation, without lists that are given and without nodes.
+    fn pass<'a>(
+        &'a self,
+        model: &'a Model,
+        frames: usize,
+        fixed: &'a StaticInputs,
+        masks: &'a [Vec<f32>],
+        before: Tensor<2>,
+    ) -> Pass<'a> {
+        let lists = vec![None; model.plan.lists.len()];
+        let definition = self;
+        Pass {
+            definition,
+            model,
+            frames,
+            fixed,
+            masks,
+            grid: None,
+            lists,
+            before,
+            after: Vec::new(),
+        }
     }
 }
 
