@@ -2,14 +2,14 @@
 //!
 //! 1. [`scales`]: units of the particle model's inputs and outputs. [`Ballistic`]: the motion of a particle that touches
 //!    nothing.
-//! 2. The operations ([`ops`](crate::ops)) have linear layers, cells, the step from the decoder's outputs, and the rules.
+//! 2. The operations ([`ops`](crate::ops)) have layers, transfers, cells, the step from the decoder's outputs, and the rules.
 //! 3. `core`: the layers of the five recurrent cores.
 //! 4. `hidden_state`: what a network remembers of a stream, and the `order` of its particles in memory.
 //! 5. `encoder`: the frame model's pointwise encoder, fused with its pooling. `frame_model`: the paper's network
 //!    (Table 1), whose outputs [`Decoded`](crate::ops::decoder::Decoded) turns into states.
 //! 6. `particle_model`: one hidden state per particle, and the stages of a frame. `particle_blocks`
-//!    processes particles, `scatter` sums them on the nodes of the `grid`, which has the layers on nodes;
-//!    `merged` combines layers that have no activation between them.
+//!    has those on particles, and sums them on the nodes of the `grid`; `merged` combines layers that have no activation between
+//!    them.
 //! 7. The rules ([`ops::rules`](crate::ops::rules)) correct a prediction; [`Corrector`] applies them after any predictor.
 //! 8. [`fits()`]: which frames a network can predict. [`Warning`]: what a stream states compared with what a network was trained on.
 //! 9. [`Surrogate`]: a checkpoint's packed network; [`Stepper`]: the threads ([`eddy_threads`]) and buffers that run it,
@@ -36,7 +36,6 @@ mod order;
 mod particle_blocks;
 mod particle_model;
 pub mod scales;
-mod scatter;
 mod stepper;
 mod surrogate;
 mod warning;

@@ -8,8 +8,8 @@ use super::{
     particle_model::{BLOCK, LayerBuffers, ParticleModel, StepContext},
 };
 use crate::{
-    checkpoint::grid::READ,
-    kernels::transfer::gather,
+    checkpoint::grid::{READ, WRITTEN},
+    kernels::nodes::range,
     ops::{
         ballistic::Motion,
         decoder::ResidualStep,
@@ -18,6 +18,7 @@ use crate::{
             packed::store,
             rows::{Columns, Output, Rows, Sum, apply},
         },
+        transfer::gather,
     },
 };
 
@@ -77,6 +78,21 @@ impl StepContext<'_> {
         self.segments.add(simd, self.nodes, item, encoded, stride, sums);
     }
 
+    /// The inputs of a row of nodes, from the sums of the blocks.
+    #[inline(always)]
+    pub(super) fn to_nodes<S: Simd>(&self, simd: S, item: usize) {
+        let Self { model: ParticleModel { grid, .. }, walls, nodes, segments, .. } = self;
+        let (row, width) = (&nodes.rows()[item], grid.written_width());
+        let own = range(row.nodes);
+        // SAFETY: this stage only reads the segments' sums, and only this item has these nodes.
+        let (sums, written) = unsafe {
+            let written = &self.lists.numbers[WRITTEN];
+            let own = written.part(own.start * width..own.end * width);
+            (self.sums.read(0..self.sums.len()), own)
+        };
+        walls.write(simd, nodes, row, (segments, sums), grid.encoded, (written, width));
+    }
+
     /// Gathers from the nodes (G2P), then context, core, decoder, and the predicted motion.
     #[inline(always)]
     pub(super) fn decode<S: Simd>(&self, simd: S, item: usize, thread: usize) {
@@ -84,7 +100,7 @@ impl StepContext<'_> {
         let (block, channels, width) = (self.block(item), model.grid.read_width(), self.width);
         let particles = &self.nodes.order()[block.clone()];
         let (count, length) = (block.len(), model.columns());
-        let field = &self.fields[READ];
+        let field = &self.lists.numbers[READ];
         // SAFETY: no other running item has this thread number, and this stage only reads the other lists.
         let (buffers, columns, ballistic_motion, field) = unsafe {
             (

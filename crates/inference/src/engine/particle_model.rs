@@ -4,19 +4,16 @@
 //! the nearest caches. Once a frame's particles are in the order of the hidden state, the rest is one job of the thread
 //! pool: particles are encoded and summed on the nodes, the layers on nodes run one after the other, particles gather from
 //! the nodes and are decoded; at last the rules correct the prediction.
-#![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
-
 use std::collections::BTreeMap;
 
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     core::CoreLayer,
-    grid::{self, Fields, Grid, Walls},
+    grid::{self, Grid},
     hidden_state::{ParticleMemory, StreamParticles, stride},
     merged::merged,
     order::reorder,
-    scatter::Segments,
 };
 use crate::{
     checkpoint::{
@@ -32,10 +29,13 @@ use crate::{
     },
     ops::{
         ballistic::Motion,
+        convolution::packed::Lists,
         decoder::ResidualStep,
         features::{ParticleFeatures, ParticleInputs, STATE_COLUMNS},
         linear::packed::{Linear, SplitLinear},
+        node_inputs::rows::Walls,
         rules::{self, Correction, Observed, Predicted, elastic::ExpectedNodes},
+        transfer::segments::Segments,
     },
 };
 use eddy_frames::{Frame, FrameView};
@@ -201,7 +201,7 @@ impl ParticleModel {
             rules,
             buffers,
         } = scratch;
-        let grid::Scratch { nodes, fields, columns } = grid;
+        let grid::Scratch { nodes, lists, columns } = grid;
         let walls = Walls::new(self.arch, ballistic, &frame.domain, self.grid.cell_width, columns);
         let observed = Observed {
             position,
@@ -239,7 +239,10 @@ impl ParticleModel {
             features: DisjointSlice::new(features),
             sums: DisjointSlice::new(segment_sums),
             ballistic_motion: DisjointSlice::new(ballistic_motion),
-            fields: fields.each_mut().map(|field| DisjointSlice::new(field)),
+            lists: Lists {
+                numbers: lists.each_mut().map(|list| DisjointSlice::new(list)),
+                widths: &self.grid.widths,
+            },
             buffers: DisjointSlice::new(buffers),
             hidden: DisjointSlice::new(&mut memory.hidden),
             cell: DisjointSlice::new(&mut memory.cell),
@@ -290,7 +293,7 @@ pub(super) struct StepContext<'a> {
     /// The sums of each segment on the nodes.
     pub(super) sums: DisjointSlice<'a, f32>,
     pub(super) ballistic_motion: DisjointSlice<'a, Motion>,
-    pub(super) fields: Fields<'a>,
+    pub(super) lists: Lists<'a>,
     pub(super) buffers: DisjointSlice<'a, LayerBuffers>,
     pub(super) hidden: DisjointSlice<'a, f32>,
     pub(super) cell: DisjointSlice<'a, f32>,
@@ -305,7 +308,7 @@ impl StepContext<'_> {
         match stage {
             Stage::Network(Encode | Decode) => self.nodes.order().len().div_ceil(BLOCK),
             Stage::Network(ToNodes) => self.nodes.rows().len(),
-            Stage::Network(Convolution(layer)) => self.model.grid.items(layer, self.nodes),
+            Stage::Network(Convolution(layer)) => self.model.grid.layers[layer].blocks(self.nodes),
             Stage::Rule(stage) => self.correction.items(stage),
         }
     }
@@ -323,17 +326,12 @@ impl WithSimd for Item<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { context, task: Task { stage, item, thread } } = self;
-        let StepContext { model: ParticleModel { grid, stages, .. }, nodes, fields, .. } = context;
+        let StepContext { model: ParticleModel { grid, stages, .. }, nodes, lists, .. } = context;
         match stages[stage] {
             Stage::Network(Encode) => context.encode(simd, item, thread),
             Stage::Network(Decode) => context.decode(simd, item, thread),
-            Stage::Network(ToNodes) => {
-                // SAFETY: this stage only reads the segments' sums.
-                let sums = unsafe { context.sums.read(0..context.sums.len()) };
-                let row = &nodes.rows()[item];
-                grid.write(simd, nodes, row, (context.segments, sums), &context.walls, fields);
-            }
-            Stage::Network(Convolution(layer)) => grid.layer(simd, layer, item, nodes, fields),
+            Stage::Network(ToNodes) => context.to_nodes(simd, item),
+            Stage::Network(Convolution(layer)) => grid.layers[layer].run(simd, item, nodes, lists),
             Stage::Rule(stage) => context.correction.run(stage, item),
         }
     }

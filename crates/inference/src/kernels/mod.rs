@@ -17,15 +17,12 @@
 //! The sparse grid, the rest shape and elasticity, for both:
 //!
 //! 7. [`nodes`]: the nodes that particles touch, at two to four cell widths.
-//! 8. [`transfer`]: sums from particles to nodes (P2G) and from nodes to particles (G2P).
-//! 9. [`gathered`]: convolutions on nodes.
-//! 10. [`rest_shape`]: strain and bend of jelly and rope.
-//! 11. [`lattice`]: jelly as an elastic continuum.
-//! 12. [`spacing`]: the distance between neighbouring particles.
+//! 8. [`rest_shape`]: strain and bend of jelly and rope.
+//! 9. [`lattice`]: jelly as an elastic continuum.
+//! 10. [`spacing`]: the distance between neighbouring particles.
 
 pub mod activation;
 pub mod encoder;
-pub mod gathered;
 pub mod lattice;
 pub mod math;
 pub mod matrix;
@@ -34,5 +31,4 @@ pub mod nodes;
 pub mod packed;
 pub mod rest_shape;
 pub mod spacing;
-pub mod transfer;
 pub mod vectors;

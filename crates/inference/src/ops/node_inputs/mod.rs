@@ -7,17 +7,19 @@
 //! | 1 | m / [`FULL_MASS`], where m is the sum of w_p |
 //! | 4 | exp(-d / w) of the distance d from the left, lower, right and upper effective wall; 1 beyond. w is the width of a cell |
 //!
-//! This file is for training, with the gradient; `device.cu` has what all kernels share. For predictions, `scatter` and `grid` of the
-//! [`engine`](crate::engine) sum up a block of particles at a time. The definition in burn is `model/sparse.rs` of `eddy-learning`.
+//! This file is for training, with the gradient; `rows` for predictions; `device.cu` has what all kernels share. The definition in burn
+//! is `model/sparse.rs` of `eddy-learning`.
 
-use super::ballistic::Ballistic;
+pub(crate) mod rows;
+
+use super::{
+    ballistic::Ballistic,
+    transfer::{by_position, mass, to_nodes, to_particles},
+};
 use crate::{
     checkpoint::layout::NODE_FEATURES,
     engine::scales::{FULL_MASS, MIN_MASS},
-    kernels::{
-        nodes::Nodes,
-        transfer::{by_position, mass, to_nodes, to_particles},
-    },
+    kernels::nodes::Nodes,
 };
 
 /// What the kernels on GPUs share.

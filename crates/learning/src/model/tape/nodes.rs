@@ -3,17 +3,13 @@
 use super::{Backward, Kept, Operate, exactly};
 use crate::model::grid_context::GridContext;
 use eddy_inference::{
-    checkpoint::{
-        Activation,
-        grid::{GridLayer, Stencil},
-    },
-    kernels::{
-        activation::{activate, gradient_before},
-        gathered::{Convolution, Table, TransposedConvolution},
-        nodes::Nodes,
+    checkpoint::grid::GridLayer,
+    kernels::nodes::Nodes,
+    ops::{
+        convolution::Convolution,
+        node_inputs::NodeInputs,
         transfer::{by_position, to_nodes, to_particles},
     },
-    ops::node_inputs::NodeInputs,
 };
 
 /// The inputs of the nodes; keeps their mass.
@@ -67,72 +63,26 @@ pub(super) struct Convolve<'a> {
     pub(super) layer: &'a GridLayer,
 }
 
-/// A layer on nodes with its tables.
-enum Tables<'a> {
-    Gathered(Convolution<'a>),
-    FromParents(TransposedConvolution<'a>),
-}
-
 impl Convolve<'_> {
-    fn activation(&self) -> Option<Activation> {
-        self.layer.rectified.then_some(Activation::Relu)
-    }
-
-    fn tables<'t>(&'t self, weight: &'t [f32], bias: &'t [f32]) -> Tables<'t> {
-        let GridLayer { level, rectified: rectify, .. } = *self.layer;
-        let own = self.nodes.level(level);
-        let table = match self.layer.stencil {
-            Stencil::Neighbours => Table::Neighbours(&own.neighbours),
-            Stencil::Children => Table::Children {
-                children: &own.children,
-                parent: &self.nodes.level(level - 1).parent,
-            },
-            Stencil::Parent => {
-                let (children, parent) = (&self.nodes.level(level + 1).children, &own.parent);
-                let layer = TransposedConvolution { children, parent, weight, bias };
-                return Tables::FromParents(layer);
-            }
-        };
-        Tables::Gathered(Convolution { table, weight, bias, rectify })
+    /// The rows, what is added, and the layer.
+    fn parts<'a>(&'a self, read: &[&'a [f32]]) -> (&'a [f32], Option<&'a [f32]>, Convolution<'a>) {
+        let [rows, added @ .., weight, bias] = read else { unreachable!("layers read rows") };
+        let Self { nodes, layer } = *self;
+        (rows, added.first().copied(), Convolution { nodes, layer, weight, bias })
     }
 }
 
 impl Operate for Convolve<'_> {
     fn forward(&self, read: &[&[f32]]) -> (Vec<f32>, Kept) {
-        let [rows, skip @ .., weight, bias] = read else { unreachable!("layers read rows") };
-        let output = match self.tables(weight, bias) {
-            Tables::Gathered(layer) => {
-                assert!(skip.is_empty(), "only layers that read parents have a skip connection");
-                layer.forward(rows)
-            }
-            Tables::FromParents(layer) => {
-                let mut output = layer.forward(rows);
-                for skip in skip {
-                    output.iter_mut().zip(*skip).for_each(|(sum, skip)| *sum += skip);
-                }
-                if let Some(activation) = self.activation() {
-                    activate(activation, &mut output);
-                }
-                output
-            }
-        };
-        (output, Kept::NOTHING)
+        let (rows, added, layer) = self.parts(read);
+        (layer.forward(rows, added), Kept::NOTHING)
     }
 
     fn backward(&self, of: &Backward<'_>) -> Vec<Vec<f32>> {
         let &Backward { read, written: output, gradient, .. } = of;
-        let [rows, skip @ .., weight, bias] = read else { unreachable!("layers read rows") };
-        match self.tables(weight, bias) {
-            Tables::Gathered(layer) => {
-                let by = layer.backward(rows, output, gradient, true, true);
-                vec![by.input, by.weight, by.bias]
-            }
-            Tables::FromParents(layer) => {
-                let gradient = gradient_before(self.activation(), output, gradient);
-                let by = layer.backward(rows, &gradient, true, true);
-                let by_skip = skip.iter().map(|_| gradient.to_vec());
-                [by.input].into_iter().chain(by_skip).chain([by.weight, by.bias]).collect()
-            }
-        }
+        let (rows, added, layer) = self.parts(read);
+        let (by, by_added) = layer.backward(rows, output, gradient);
+        let by_added = added.map(|_| by_added);
+        [by.input].into_iter().chain(by_added).chain([by.weight, by.bias]).collect()
     }
 }

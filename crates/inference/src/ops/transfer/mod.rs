@@ -1,4 +1,4 @@
-//! Transfers between particles and the finest nodes of their [grid](super::nodes): sums over the particles around each node
+//! Transfers between particles and the finest nodes of their [grid](crate::kernels::nodes): sums over the particles around each node
 //! (P2G) and over the nodes around each particle (G2P), with the weights of the quadratic spline.
 //!
 //! P2G and G2P are each other's transposes, which gives their gradients:
@@ -12,13 +12,19 @@
 //!
 //! The gradient by a position outside of the domain is that at the nearest position inside. Sums are in the order of slots:
 //! any number of threads gives the same bits.
+//!
+//! 1. This file: whole lists, for training; predictions gather with it, too.
+//! 2. `segments`: P2G of predictions, by blocks of particles.
+//! 3. On GPUs: `particle/layers.cu` and, for training, `particle/training/grid.cu` of `eddy-cuda`.
+
+pub(crate) mod segments;
 
 use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{
+use crate::kernels::{
     nodes::{Cell, Nodes, Row, WindowRanges, range},
     vectors::{load, store},
 };

@@ -8,8 +8,10 @@ use std::ops::Range;
 
 use pulp::Simd;
 
-use crate::kernels::nodes::{Cell, Nodes, Row, range};
-use crate::ops::linear::packed::{load, store};
+use crate::{
+    kernels::nodes::{Cell, Nodes, Row, range},
+    ops::linear::packed::{load, store},
+};
 
 /// A part of the list of slots.
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +26,7 @@ struct Segment {
 
 /// The segments of a frame.
 #[derive(Debug, Default)]
-pub(super) struct Segments {
+pub(crate) struct Segments {
     segments: Vec<Segment>,
     /// First segment of each block, and the end of the last.
     first: Vec<u32>,
@@ -33,7 +35,7 @@ pub(super) struct Segments {
 impl Segments {
     /// Cuts the list of slots every `block` slots and at the end of each row of cells. Returns the length of all sums (nodes),
     /// and the largest it can get without allocating nodes.
-    pub(super) fn cut(&mut self, nodes: &Nodes, block: usize) -> [usize; 2] {
+    pub(crate) fn cut(&mut self, nodes: &Nodes, block: usize) -> [usize; 2] {
         let Self { segments, first } = self;
         let (particles, cells) = (nodes.order().len(), nodes.cells());
         segments.clear();
@@ -86,7 +88,7 @@ impl Segments {
     }
 
     /// The range of a block's sums (nodes).
-    pub(super) fn sums(&self, block: usize) -> Range<usize> {
+    pub(crate) fn sums(&self, block: usize) -> Range<usize> {
         match self.of_block(block) {
             [first, .., last] => first.sums[0] as usize..last.sums[3] as usize,
             [only] => only.sums[0] as usize..only.sums[3] as usize,
@@ -97,7 +99,7 @@ impl Segments {
     /// P2G for a block: sums `rows`, `[slot of the block, stride]`, on the nodes of each particle's stencil, into the block's
     /// own `sums`.
     #[inline(always)]
-    pub(super) fn add<S: Simd>(
+    pub(crate) fn add<S: Simd>(
         &self,
         simd: S,
         nodes: &Nodes,
@@ -140,7 +142,7 @@ impl Segments {
 
     /// Adds the segments' `sums` of a row of nodes to `joined`, `[node, stride]`.
     #[inline(always)]
-    pub(super) fn join<S: Simd>(
+    pub(crate) fn join<S: Simd>(
         &self,
         simd: S,
         nodes: &Nodes,
@@ -226,7 +228,7 @@ mod tests {
     use pulp::{Arch, WithSimd};
 
     use super::*;
-    use crate::kernels::{nodes::Window, transfer::to_nodes};
+    use crate::{kernels::nodes::Window, ops::transfer::to_nodes};
 
     /// The sums on all nodes, from rows in the order of particles.
     struct Sum<'a>(&'a Nodes, usize, &'a [f32], usize);
