@@ -8,7 +8,7 @@ use eddy_inference::{
     ops::{
         cell,
         decoder::{self, Decoded},
-        features, linear, node_inputs,
+        features, linear, node_inputs, transfer,
     },
 };
 
@@ -51,10 +51,13 @@ pub(crate) const PARTICLE_SOURCE: &[&str] = &[
     include_str!("common.cu"),
     cell::DEVICE,
     include_str!("particle/nodes.cu"),
+    transfer::DEVICE,
     linear::DEVICE,
     decoder::DEVICE,
     features::DEVICE,
     node_inputs::DEVICE,
+    include_str!("particle/products.cu"),
+    include_str!("particle/node_layers.cu"),
     include_str!("particle/layers.cu"),
 ];
 
@@ -65,7 +68,6 @@ pub(crate) const PARTICLE_TRAINING_SOURCE: &[&str] = &[
     include_str!("training/adam.cu"),
     include_str!("training/muon.cu"),
     include_str!("training/knots.cu"),
-    include_str!("particle/training/products.cu"),
     include_str!("particle/training/plan.cu"),
     include_str!("particle/training/grid.cu"),
     include_str!("particle/training/node_layers.cu"),

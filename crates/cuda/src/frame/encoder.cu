@@ -1,4 +1,5 @@
-// The pointwise encoder: Linear(INPUTS, E), activation, mean over the particles of a window.
+// The pointwise encoder: Linear(INPUTS, E), activation, mean over the particles of a window. A fused form: no activation is stored. What
+// that saves is most of what PyTorch takes longer (`gpu.md` of the book).
 //
 // Particles are taken in the order of their materials, so that the material's columns are a bias of
 // its own for each material and a particle costs FEATURES multiplications whatever the materials are.

@@ -153,7 +153,7 @@ __device__ __forceinline__ bool is_close(const Stream& s, u32 number, float2 pla
   high.x[1] = place.y + reach;
   const u32 left = cell_along(s, low, 0), right = cell_along(s, high, 0), top = cell_along(s, high, 1);
   for (u32 row = cell_along(s, low, 1); row <= top; row++) {
-    const u32* starts = s.starts + row * s.across;
+    const u32* starts = s.starts + row * s.across[0];
     const u32 end = starts[right + 1];
 #pragma unroll 2
     for (u32 slot = starts[left] + lane; slot < end; slot += PART_THREADS) {

@@ -11,8 +11,8 @@
 //! | scan | a map | counts, marks | first slots of cells, numbers of nodes |
 //! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
 //! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
-//! | to nodes | a node | encoded | list 0 `[nodes, C0 + 5]` |
-//! | layers on nodes | a few nodes | a list | another list |
+//! | to nodes | 32 quadruples of a node | encoded | list 0 `[nodes, C0 + 5]` |
+//! | layers on nodes | 16 nodes, 16 columns | a list | another list |
 //! | decode | a tile of slots | list 2, features, states | states, predictions |
 //! | rules | a body of jelly; particles, nodes, cells | lattices; particles, links, the grid | predictions |
 //! | store | 256 particles | predictions | memory of the host |
@@ -31,7 +31,8 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    layout::{Constants, Layout, NODE_THREADS, NodeLayer},
+    layout::{Constants, Layout, NodeLayer},
+    nodes::tiles,
     stream::{Memory, Scales, Size},
 };
 use crate::{
@@ -40,12 +41,11 @@ use crate::{
     graphs::Graphs,
     kernels::particle::{
         elastic::Elastic,
-        layers::{
-            ParticleDecode, ParticleEncode, ParticleGridLayer, ParticleStore, ParticleToNodes,
-        },
+        layers::{ParticleDecode, ParticleEncode, ParticleStore, ParticleToNodes},
+        node_layers::{NODE_LAYER_THREADS, ParticleLayer},
         nodes::{
             ParticleChunks, ParticleLoad, ParticleRank, ParticleScan, ParticleScatter,
-            SCAN_THREADS, Stream, THREADS as TILE_THREADS,
+            SCAN_THREADS, Stream, THREADS as TILE_THREADS, WARP,
         },
     },
     streams::{Body, Step, StreamModel, copy_bodies, copy_motion, copy_threads},
@@ -57,8 +57,12 @@ pub const MOST_STREAMS: usize = 64;
 const SCRATCH: usize = 4 << 30;
 /// Graphs that are kept.
 const GRAPHS: usize = 64;
+/// Warps that sum over the particles around nodes: one for each row of a stencil, `TO_NODES_THREADS` of the kernels.
+const TO_NODES_WARPS: usize = 3;
 /// Blocks of a stage, at most about so many for all streams; each goes on with further tiles.
 const BLOCKS: usize = 16384;
+/// The same of a layer on nodes: with more, blocks without a tile take as long as a step of a few streams.
+const LAYER_BLOCKS: usize = 1024;
 
 /// Particles of an item of a copy between a frame and the memory of the device.
 const COPY: usize = 1 << 14;
@@ -287,7 +291,7 @@ impl Inference {
     /// Puts a step into the queue.
     fn launch_all(&self, extent: Extent) -> Result<()> {
         let Extent { streams: number, particles, nodes, chunks, .. } = extent;
-        let Constants { tile, nodes: node_tile, .. } = self.constants;
+        let Constants { tile, .. } = self.constants;
         let blocks =
             |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / number).max(64)).max(1);
         let streams = self.rows.pointer();
@@ -315,15 +319,17 @@ impl Inference {
                     self.launch(encode, ParticleEncode { streams, first, second })?;
                 }
                 Stage::ToNodes => {
-                    let by_node = Shape::new(blocks(nodes[0], 2), number, 96);
-                    self.launch(by_node, ParticleToNodes { streams })?;
+                    let quads = nodes[0] * (self.constants.encoded_columns() / 4 + 1);
+                    let by_quad = Shape::new(blocks(quads, WARP), number, TO_NODES_WARPS * WARP);
+                    self.launch(by_quad, ParticleToNodes { streams })?;
                 }
                 Stage::Convolution(layer) => {
-                    let NodeLayer { layer, first, parts, shared, level } = self.layout.grid[layer];
-                    let by_node = Shape::new(blocks(nodes[level], node_tile), number, NODE_THREADS);
-                    let (w, parts) = (weights(first), count(parts));
-                    let kernel = ParticleGridLayer { streams, w, layer, parts };
-                    self.launch(Shape { shared, ..by_node }, kernel)?;
+                    let NodeLayer { layer, first } = self.layout.grid[layer];
+                    let most = tiles(layer.stencil, layer.outputs, nodes[layer.level as usize]);
+                    let tiles = most.min((LAYER_BLOCKS / number).max(64)).max(1);
+                    let by_tile = Shape::new(tiles, number, NODE_LAYER_THREADS);
+                    let w = weights(first);
+                    self.launch(by_tile, ParticleLayer { streams, w, layer })?;
                 }
                 Stage::Decode => {
                     let decode = by_tile(self.constants.decode_bytes());

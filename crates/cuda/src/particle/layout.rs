@@ -1,5 +1,5 @@
 //! What the particle model's kernels are compiled for, and where its tensors are in the memory of a device: one matrix a layer,
-//! `[in, gates, out]` with widths rounded up to 4, its bias behind it.
+//! `[in, gates, out]`, those of the grid `[gates, out, in]`, with widths rounded up to 4, its bias behind it.
 //!
 //! | layer | rows | columns |
 //! |---|---|---|
@@ -23,20 +23,17 @@ use eddy_inference::{
     ops::rules::Network,
 };
 
+use super::nodes::stencil_number;
 use crate::{
     device::count,
     error::{CudaError, Result},
     kernels::{
         AXES, MATERIALS, PARTICLE_SOURCE, Program,
-        particle::{layers::Layer, nodes::ROWS},
+        particle::{node_layers::Layer, nodes::ROWS},
         round_up,
     },
 };
 
-/// Threads of a block that computes layers on nodes.
-pub(super) const NODE_THREADS: usize = 256;
-/// Most threads that share a sum.
-pub(super) const MOST_PARTS: usize = 8;
 /// Shared memory that leaves room for other blocks on the same processor, and the most a block can have on all GPUs from compute
 /// capability 8.0 on (bytes).
 pub(super) const SHARED: [usize; 2] = [72 << 10, 98 << 10];
@@ -74,8 +71,6 @@ pub struct Constants {
     pub normalized: bool,
     /// Particles of a block.
     pub tile: usize,
-    /// Nodes of a block.
-    pub nodes: usize,
 }
 
 /// W rounded up to 4.
@@ -124,7 +119,6 @@ impl Constants {
             form: description.form,
             normalized: description.normalize_gates,
             tile: ROWS,
-            nodes: ROWS,
         };
         let bytes = |tile| {
             let sized = Self { tile, ..constants.clone() };
@@ -135,12 +129,7 @@ impl Constants {
                 format!("network.encoder {} with network.hidden {}", sizes.encoder, sizes.hidden);
             return Err(unsupported(setting, "at most about 950 for each on a GPU"));
         };
-        let widest = constants.widest_list();
-        let Some(nodes) = fitting(&[16, 8, ROWS], |nodes| 4 * nodes * odd(9 * widest)) else {
-            let setting = format!("surroundings.channels {:?}", grid.channels);
-            return Err(unsupported(setting, "at most about 690 each on a GPU"));
-        };
-        (constants.tile, constants.nodes) = (tile, nodes);
+        constants.tile = tile;
         Ok(constants)
     }
 
@@ -187,11 +176,6 @@ impl Constants {
     pub(super) fn levels(&self) -> usize {
         self.channels.len()
     }
-
-    /// Padded width of the widest list of features at nodes.
-    pub(super) fn widest_list(&self) -> usize {
-        self.lists.iter().map(|&(_, width)| width).max().unwrap_or_default()
-    }
 }
 
 impl Program for Constants {
@@ -221,25 +205,18 @@ impl Program for Constants {
             ("LOG_FORM", usize::from(self.form == Form::Log)),
             ("NORMALIZED", usize::from(self.normalized)),
             ("TILE", self.tile),
-            ("NODES", self.nodes),
         ];
         let rules = Rules::definitions();
         own.into_iter().chain(self.core.definitions()).chain(rules).collect()
     }
 }
 
-/// A layer on the nodes, and what its launch needs.
+/// A layer on the nodes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NodeLayer {
     pub(super) layer: Layer,
     /// First number of its matrix.
     pub(super) first: usize,
-    /// Threads that share a sum.
-    pub(super) parts: usize,
-    /// Shared memory of a block (bytes).
-    pub(super) shared: usize,
-    /// Level of the blocks' nodes.
-    pub(super) level: usize,
 }
 
 /// Where the matrices are.
@@ -261,25 +238,29 @@ struct Matrix<'a> {
     row: &'a dyn Fn(usize) -> usize,
     /// Outputs side by side of so many groups, with a bias each.
     groups: usize,
+    /// Whether it is `[gates, out, in]`.
+    transposed: bool,
 }
 
 impl Matrix<'_> {
-    /// Appends it to `all`.
-    fn append(&self, all: &mut Vec<f32>) {
-        let Self { weight, bias, rows, row, groups } = *self;
+    /// Appends it to `all`, and returns its first number there.
+    fn append(&self, all: &mut Vec<f32>) -> usize {
+        let Self { weight, bias, rows, row, groups, transposed } = *self;
         let [outputs, inputs] = [weight.shape[0] / groups, weight.shape[1]];
         let columns = four(outputs);
+        let [row_step, column_step] = if transposed { [1, rows] } else { [groups * columns, 1] };
         let begin = all.len();
         all.resize(begin + (rows + 1) * groups * columns, 0.0);
         for (output, values) in weight.values.chunks_exact(inputs).enumerate() {
             let column = output / outputs * columns + output % outputs;
             for (input, value) in values.iter().enumerate() {
-                all[begin + row(input) * groups * columns + column] = *value;
+                all[begin + row(input) * row_step + column * column_step] = *value;
             }
             // The children of a node share the bias.
             let own = bias.values[output % bias.values.len()];
             all[begin + rows * groups * columns + column] = own;
         }
+        begin
     }
 }
 
@@ -297,9 +278,7 @@ impl Layout {
                    rows: usize,
                    row: &dyn Fn(usize) -> usize,
                    groups: usize| {
-            let first = all.len();
-            Matrix { weight, bias, rows, row, groups }.append(all);
-            first
+            Matrix { weight, bias, rows, row, groups, transposed: false }.append(all)
         };
         let plain = |input: usize| input;
         let Constants { encoder, hidden, .. } = *constants;
@@ -314,34 +293,26 @@ impl Layout {
             .map(|layer| {
                 let GridLayer { name, stencil, channels: [group, _], lists: [from, to], .. } =
                     layer;
-                let (places, children) = (stencil.places(), stencil.children());
                 // Nothing is added where there is no skip connection; the kernels ask for the stencil.
                 let skip = layer.skip.map_or(0, |layer| layers[layer].lists[1]);
                 let [inner, outputs] = [from, to].map(|list| constants.lists[*list].1);
-                let rows = places * inner;
                 let row = |input: usize| input / group * inner + input % group;
-                let first = add(&mut all, named(layout::names(name)), rows, &row, children);
-                let columns = children * outputs;
-                let items = constants.nodes / ROWS * columns / 4;
-                let parts = (NODE_THREADS / items).min(rows / 16).clamp(1, MOST_PARTS);
-                let gathered = constants.nodes * odd(rows);
-                let sums = (parts - 1) * constants.nodes * columns;
-                let level = layer.node_level();
+                let (weight, bias) = named(layout::names(name));
+                let (rows, groups) = (stencil.places() * inner, stencil.children());
+                let matrix = Matrix { weight, bias, rows, row: &row, groups, transposed: true };
+                let first = matrix.append(&mut all);
                 NodeLayer {
                     layer: Layer {
-                        places: count(places),
-                        level: count(level),
+                        stencil: stencil_number(*stencil),
+                        level: count(layer.node_level()),
                         from: count(*from),
                         to: count(*to),
                         skip: count(skip),
-                        inner: count(inner),
+                        width: count(inner),
                         outputs: count(outputs),
                         rectified: layer.rectified.into(),
                     },
                     first,
-                    parts,
-                    shared: 4 * gathered.max(sums),
-                    level,
                 }
             })
             .collect();

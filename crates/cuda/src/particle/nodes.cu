@@ -8,11 +8,25 @@
 //   ORIGIN     index of node 0 in the maps of level 0
 //   LAYERS     layers of the core
 //   TILE       particles of a block
-//   NODES      nodes of a block
 #define ROUND4(n) (((n) + 3) / 4 * 4)
+#define F4 ROUND4(F)
+#define E4 ROUND4(E)
+#define C04 ROUND4(C0)
+#define H4 ROUND4(H)
+#define INPUT4 ROUND4(C0 + NODE_FEATURES)
+#define QUADS (C04 / 4)
 #define MISSING 0xffffffffu
+// Nodes of a stencil, nodes of it behind each other, children of a node.
+#if DIM == 2
+#define STENCIL 9
+#else
+#define STENCIL 27
+#endif
+#define STENCIL_ROWS (STENCIL / 3)
+#define CHILDREN (1 << DIM)
 #define THREADS 128 // of a block that has a tile of particles
 #define ROWS 4      // that a thread multiplies
+#define WARP 32
 
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {
@@ -81,7 +95,7 @@ struct Stream {
   // The frame.
   u32 particles;
   u32 begun;
-  u32 across, down;              // of the map of level 0
+  u32 across[DIM];               // of the map of level 0
   float lower[2], extent[2];     // the domain's lower corner, its size (cells)
   float width;                   // of a cell
   float wall_lower[2], wall_upper[2], fall[2], dt;
@@ -108,13 +122,48 @@ template <class S> __device__ __forceinline__ u32 cell_along(const S& s, const B
   return (u32)((int)stencil(cell_place(s, body, axis)) + ORIGIN);
 }
 
+// Maps of a stream, or of the windows of a training. Distance between nodes that are neighbours along an axis, in a map.
+template <class S> __device__ __forceinline__ int map_step(const S& s, int level, int axis) {
+  int step = 1;
+  for (int a = 0; a < axis; a++) step *= (int)(s.across[a] >> level);
+  return step;
+}
+// Entry of the cell with the lowest node of a particle's stencil at `base`.
+template <class S> __device__ __forceinline__ u32 cell_entry(const S& s, const int* base) {
+  int entry = 0;
+#pragma unroll
+  for (int a = DIM - 1; a >= 0; a--) entry = entry * (int)s.across[a] + base[a] + ORIGIN;
+  return (u32)entry;
+}
+// From the entry of a node to the one at digit `place` (base 3 for each axis from -1 on; base 2 from 0 on).
+template <class S> __device__ __forceinline__ int neighbour_step(const S& s, int level, int place) {
+  int step = 0;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    step += (place % 3 - 1) * map_step(s, level, a);
+    place /= 3;
+  }
+  return step;
+}
+// Entry of a child in the map of the next finer level.
+template <class S> __device__ __forceinline__ u32 child_entry(const S& s, int level, u32 entry, int place) {
+  u32 child = 0;
+#pragma unroll
+  for (int a = 0; a < DIM; a++) {
+    const u32 across = s.across[a] >> level, at = a + 1 < DIM ? entry % across : entry;
+    child += (2 * at + ((place >> a) & 1)) * (u32)map_step(s, level - 1, a);
+    entry /= across;
+  }
+  return child;
+}
+
 // Frames from the memory of the host; the particles of each cell; marks for the nodes they touch.
 // grid (ceil(n / 256), B), block 256
 extern "C" __global__ void __launch_bounds__(256) particle_load(const Stream* __restrict__ host_streams, Stream* __restrict__ streams) {
   const Stream& s = host_streams[blockIdx.y];
   if (blockIdx.x == 0)
     for (u32 i = threadIdx.x; i < sizeof(Stream) / 4; i += 256) ((u32*)(streams + blockIdx.y))[i] = ((const u32*)(host_streams + blockIdx.y))[i];
-  const u32 n = s.particles, across = s.across;
+  const u32 n = s.particles, across = s.across[0];
   for (u32 p = first_thread(); p < n; p += all_threads()) {
     const Body body = s.observed[p];
     s.bodies[p] = body;
@@ -142,9 +191,9 @@ extern "C" __global__ void __launch_bounds__(256) particle_load(const Stream* __
 #define SCANNED                                                                                                          \
   const Stream& s = streams[blockIdx.z];                                                                                 \
   const int level = (int)blockIdx.y - 1;                                                                                 \
-  const u32 size = level < 0 ? s.across * s.down : (s.across >> level) * (s.down >> level), chunks = (size + CHUNK - 1) / CHUNK; \
+  const u32 size = level < 0 ? s.across[0] * s.across[1] : (s.across[0] >> level) * (s.across[1] >> level), chunks = (size + CHUNK - 1) / CHUNK; \
   u32* from = level < 0 ? s.counts : s.marks[level];                                                                     \
-  u32* parts = s.chunks + blockIdx.y * ((s.across * s.down + CHUNK - 1) / CHUNK);
+  u32* parts = s.chunks + blockIdx.y * ((s.across[0] * s.across[1] + CHUNK - 1) / CHUNK);
 // Sum over a block.
 __device__ __forceinline__ u32 scan_total(u32 v, u32* sums) {
   sums[threadIdx.x] = v;

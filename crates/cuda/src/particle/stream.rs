@@ -294,7 +294,6 @@ impl Memory {
         let hidden = self.list.pointer();
         let expected = hidden.plus(states);
         let lattice_places = expected.plus(2 * self.particles);
-        let [across, down] = size.extent.map(count);
         let [slowest, fastest] = speeds;
         Stream {
             hidden,
@@ -309,8 +308,7 @@ impl Memory {
             predicted: host[1],
             particles: count(self.particles),
             begun: u32::from(self.begun.load(Ordering::Relaxed)),
-            across,
-            down,
+            across: size.extent.map(count),
             lower: domain.lower,
             extent: cells_across(domain, width),
             width,

@@ -10,11 +10,11 @@
 //! | cells | a frame of a window | particles | particles by cells, numbers of nodes |
 //! | encode | 16 particles a warp | particles, links | features, encoded `[n, C0]` |
 //! | to nodes | some nodes | encoded | field 0 `[nodes, C0 + 5]` |
-//! | layers on nodes | 8 columns of 16 nodes | a field | the next field |
+//! | layers on nodes | 16 columns of 16 nodes | a field | the next field |
 //! | decode | 16 particles a warp | the last field, features, states | states, outputs |
 //! | advance | 256 particles | outputs, trajectories | the next frame's particles, squares of errors |
 //!
-//! Products run on tensor cores, with factors in two parts (`products.cu`): their errors are those of FP32.
+//! Products run on tensor cores, with factors in two parts (`particle/products.cu`): their errors are those of FP32.
 //!
 //! 1. `layout`: what the kernels are compiled for, and where tensors are. `store`: trajectories on the device.
 //! 2. `plan`: the memory of a step.
@@ -46,8 +46,9 @@ use crate::{
     device::{Device, Kernel, List, MOST_BLOCKS, Pointer, Queue, Shape},
     error::{CudaError, Result},
     graphs::Graphs,
-    kernels::particle::training::{
-        grid::TrainObserve, node_layers::Transposed, plan::Plan, products::WARP,
+    kernels::particle::{
+        nodes::WARP,
+        training::{grid::TrainObserve, node_layers::Transposed, plan::Plan},
     },
     training::{Batch, InTraining, Optimizer, Settings, Tables},
 };

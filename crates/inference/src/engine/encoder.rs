@@ -1,6 +1,6 @@
 //! The frame model's pointwise encoder: the first Linear and the activation, for every particle.
 //!
-//! Nothing of the shape `[N, E]` is ever stored. The mean is accumulated as the points are computed, a panel of units at a
+//! A fused form, as [`kernels::encoder`](crate::kernels::encoder) for training: nothing of the shape `[N, E]` is ever stored. The mean is accumulated as the points are computed, a panel of units at a
 //! time. The maximum needs the second Linear first, which processes points in blocks.
 
 use std::collections::BTreeMap;

@@ -1,4 +1,7 @@
 //! The network's layers on a block of particles: before their outputs are summed on the grid, and after it is gathered.
+//!
+//! A fused form of the plan: what is between the layers of a block stays in the nearest cache. With all particles as one block, a frame takes 3 %
+//! longer for 2,500 particles, 4 to 9 % for 10,000 to 40,000; with whole lists as in training, ten times as long (one thread).
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
 use pulp::Simd;

@@ -152,7 +152,7 @@ __device__ __forceinline__ float weight_slope(float place, int node) {
   return node == 0 ? place - 1.5f : (node == 1 ? 2.0f - 2.0f * place : place - 0.5f);
 }
 // The gradient by an axis of a particle's place (cells) of the weight of a node of its stencil.
-__device__ __forceinline__ float node_slope(const Stencil& own, int node, int axis) {
+__device__ __forceinline__ float node_slope(const PlacedStencil& own, int node, int axis) {
   float product = 1.0f;
 #pragma unroll
   for (int a = 0; a < DIM; a++) {
@@ -191,7 +191,7 @@ extern "C" __global__ void __launch_bounds__(LEARN_THREADS) train_encode_gradien
   float* by_encoded = rows_of_warp(shared, ODD4(C04) + ODD4(E4) + ODD4(F4) + STENCIL + STENCIL_NUMBERS);
   float *by_hidden = by_encoded + WARP_ROWS * ODD4(C04), *by_features = by_hidden + WARP_ROWS * ODD4(E4);
   float* dots = by_features + WARP_ROWS * ODD4(F4);
-  Stencil* stencils = (Stencil*)(dots + WARP_ROWS * STENCIL);
+  PlacedStencil* stencils = (PlacedStencil*)(dots + WARP_ROWS * STENCIL);
   const Plan& s = *plan;
   const int sheet = first + blockIdx.y, b = sheet % s.batch, lane = lane_of();
   const WarpTile tile = tile_of(s, b);

@@ -114,44 +114,15 @@ extern "C" __global__ void __launch_bounds__(CELL_THREADS) train_cells(const Pla
   }
 }
 
-// Sums over the particles around a node, `mass` that of the weights. A warp has a share of a row of stencils; the first one has the
-// sums of all.
-struct NodeSum { float4 sum; float mass; };
+// The same of a sheet, from rows of `stride` numbers in the order of particles: the quadruple `quad`, or, where it is negative, the mass
+// alone.
 #define SUM_SHARES 2
 #define SUM_THREADS (SUM_SHARES * STENCIL_ROWS * WARP)
-__device__ __forceinline__ NodeSum sum_around(const Plan& s, int sheet, u32 entry, const float* values, int stride, int quad) {
-  __shared__ NodeSum sums[SUM_SHARES * STENCIL_ROWS][WARP];
-  const u32* starts = s.starts + (size_t)sheet * (s.entries[0] + 1);
-  const int warp = threadIdx.x / WARP, row = warp / SUM_SHARES, share = warp % SUM_SHARES;
-  NodeSum found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
-  if (entry != MISSING) {
-    // This is node (i, row) of the stencil of the cell i further left.
-    u32 last = entry;
-    for (int a = 1, rest = row; a < DIM; a++) {
-      last -= rest % 3 * map_step(s, 0, a);
-      rest /= 3;
-    }
-    const u32 begin = starts[last - 2], middle = starts[last - 1], right = starts[last], end = starts[last + 1];
-    const u32 half = begin + (end - begin) * share / SUM_SHARES, next = begin + (end - begin) * (share + 1) / SUM_SHARES;
-#pragma unroll 8
-    for (u32 slot = half; slot < next; slot++) {
-      const size_t at = particle_row(s, sheet, slot);
-      const float (*weights)[3] = (const float (*)[3])(s.weights + at * (3 * DIM));
-      const float weight = weights[0][slot < middle ? 2 : (slot < right ? 1 : 0)] * row_weight(weights, row);
-      found.mass += weight;
-      if (quad >= 0) add_scaled(found.sum, weight, *(const float4*)(values + (size_t)s.order[at] * stride + 4 * quad));
-    }
-  }
-  sums[warp][lane_of()] = found;
-  __syncthreads();
-  found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
-#pragma unroll
-  for (int other = 0; other < SUM_SHARES * STENCIL_ROWS; other++) {
-    const NodeSum part = sums[other][lane_of()];
-    add_scaled(found.sum, 1.0f, part.sum);
-    found.mass += part.mass;
-  }
-  return found;
+__device__ __forceinline__ NodeSum sum_of_sheet(const Plan& s, int sheet, u32 entry, const float* values, int stride, int quad) {
+  const size_t begin = particle_row(s, sheet, 0);
+  const u32 *starts = s.starts + (size_t)sheet * (s.entries[0] + 1), *order = s.order + begin;
+  return sum_around<SUM_SHARES>(s, entry, starts, s.weights + begin * (3 * DIM),
+      [=](u32 slot) { return quad < 0 ? nullptr : values + (size_t)order[slot] * stride + 4 * quad; });
 }
 // A node of a sheet in the map of level 0, or MISSING.
 __device__ __forceinline__ u32 entry_of(const Plan& s, int sheet, u32 node) {
@@ -162,34 +133,16 @@ __device__ __forceinline__ bool is_beyond(const Plan& s, int sheet, u32 items) {
 
 // Means of the encoder's outputs on the nodes of sheets from `first` on, then mass and proximity to walls: four numbers of a node at
 // a time. grid (ceil(nodes (C04 / 4 + 1) / WARP), sheets), block SUM_THREADS
-#define QUADS (C04 / 4)
 extern "C" __global__ void __launch_bounds__(SUM_THREADS) train_to_nodes(const Plan* __restrict__ plan, int first) {
   const Plan& s = *plan;
   const int sheet = first + blockIdx.y, item = blockIdx.x * WARP + lane_of(), quad = item % (QUADS + 1);
   const u32 node = item / (QUADS + 1), entry = entry_of(s, sheet, node);
   if (is_beyond(s, sheet, QUADS + 1)) return;
   const float* encoded = s.encoded + particle_row(s, sheet, 0) * C04;
-  const NodeSum found = sum_around(s, sheet, entry, encoded, C04, quad < QUADS ? quad : -1);
+  const NodeSum found = sum_of_sheet(s, sheet, entry, encoded, C04, quad < QUADS ? quad : -1);
   if (threadIdx.x >= WARP || entry == MISSING) return;
   float* to = s.fields[0] + ((size_t)sheet * s.nodes[0] + node) * INPUT4;
-  if (quad < QUADS) {
-    const float scale = 1.0f / (found.mass + MIN_MASS);
-    const float means[4] = {found.sum.x * scale, found.sum.y * scale, found.sum.z * scale, found.sum.w * scale};
-#pragma unroll
-    for (int u = 0; u < 4; u++)
-      if (4 * quad + u < C0) to[4 * quad + u] = means[u];
-    return;
-  }
-  to[C0] = found.mass / FULL_MASS;
-  u32 rest = entry;
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    const u32 across = s.across[a];
-    const int at = (int)(a + 1 < DIM ? rest % across : rest) - ORIGIN;
-    rest /= across;
-#pragma unroll
-    for (int side = 0; side < 2; side++) to[C0 + 1 + DIM * side + a] = node_proximity(s, at, a, side);
-  }
+  write_node_inputs(s, entry, quad, found, to);
 }
 // The gradient by what particles gather: sums over the particles around each node. grid (ceil(nodes C04 / 4 / WARP), sheets), block
 // SUM_THREADS
@@ -199,7 +152,7 @@ extern "C" __global__ void __launch_bounds__(SUM_THREADS) train_gather_gradient(
   const u32 node = item / QUADS, entry = entry_of(s, sheet, node);
   if (is_beyond(s, sheet, QUADS)) return;
   const float* by_gathered = s.by_inputs + particle_row(s, blockIdx.y, 0) * CONCAT + F4;
-  const NodeSum found = sum_around(s, sheet, entry, by_gathered, CONCAT, quad);
+  const NodeSum found = sum_of_sheet(s, sheet, entry, by_gathered, CONCAT, quad);
   if (threadIdx.x >= WARP || entry == MISSING) return;
   *(float4*)(s.slopes[FIELDS - 1] + ((size_t)sheet * s.nodes[0] + node) * C04 + 4 * quad) = found.sum;
 }

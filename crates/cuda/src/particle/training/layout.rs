@@ -18,14 +18,14 @@ use crate::{
     error::{CudaError, Result},
     kernels::{
         AXES, PARTICLE_TRAINING_SOURCE, Program,
-        particle::training::{node_layers::Transposed, products::WARP_ROWS},
+        particle::{products::WARP_ROWS, training::node_layers::Transposed},
     },
     particle::layout::{Constants, fitting, four, odd},
     training::{Builder, Matrix, Packing, Part},
 };
 
-/// Bytes of `struct Stencil` of the kernels.
-const STENCIL: usize = 4 * (4 * AXES + 3);
+/// Bytes of `struct PlacedStencil` of the kernels.
+const STENCIL: usize = 4 * (4 * AXES + 3usize.pow(AXES as u32 - 1));
 
 /// What the kernels of a training, which also predict, are compiled for.
 #[derive(Clone, Debug, PartialEq, Eq)]

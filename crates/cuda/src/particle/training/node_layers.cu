@@ -1,94 +1,19 @@
 // Layers on nodes, forwards and backwards, and the gradients by all weights.
 
-struct NodeLayer {
-  const float* weights; // [outputs, places, width], of TO_CHILDREN [CHILDREN outputs, width]
-  const float* bias;    // or none
-  const float* from;    // [.., width]
-  float* to;            // [.., outputs]
-  const float* add;     // a list like `to` that is added, or none
-  const float* mask;    // a list like `to`: where it is not positive, there is no gradient; or none
-  int stencil, level;   // level of the nodes that rows are made for
-  int width, outputs;   // padded widths of the lists
-  int rectified;
-  int row_step, place_step; // numbers from an output's weights to the next one's, from a place's to the next one's
-  int unused;
-};
-
-// A layer on sheets from `first` on. A block has 16 nodes and 8 columns, each of its warps a share of the numbers of a row.
-// grid (nodes / 16 columns / 8, sheets), block NODE_LAYER_THREADS
-#define NODE_LAYER_WARPS 4
-#define NODE_LAYER_THREADS (NODE_LAYER_WARPS * WARP)
-// Steps of 16 numbers that a warp reads before it needs them: all of its share of 9 x 32 numbers.
-#define AHEAD 5
+// A layer on sheets from `first` on, whose lists begin with those of sheet 0.
+// grid (tiles, sheets), block NODE_LAYER_THREADS
 extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) train_layer(const Plan* __restrict__ plan, NodeLayer layer, int first) {
-  __shared__ u32 around[WARP_ROWS * STENCIL];
-  __shared__ float4 shares[NODE_LAYER_WARPS - 1][WARP];
   const Plan& s = *plan;
-  const int sheet = first + blockIdx.y, warp = threadIdx.x / WARP, row = fragment_row();
-  const int level = layer.level, places = places_of(layer.stencil), spread = layer.stencil == TO_CHILDREN;
-  const int source = layer.stencil == FROM_CHILDREN ? level - 1 : level, target_level = spread ? level - 1 : level;
-  const int columns = (spread ? CHILDREN : 1) * layer.outputs, wide = (columns + 7) / 8;
-  const int begin = blockIdx.x / wide * WARP_ROWS, column = blockIdx.x % wide * 8;
-  const int total = (int)s.totals[sheet * LEVELS + level];
-  if (begin >= total) return;
-  for (int i = threadIdx.x; i < WARP_ROWS * places; i += NODE_LAYER_THREADS)
-    around[i] = begin + i / places < total ? node_at(s, sheet, layer.stencil, level, begin + i / places, i % places) : MISSING;
-  __syncthreads();
-  const int width = layer.width, four = width / 4, quads = places * four, place_step = layer.place_step;
-  const float* from = layer.from + (size_t)sheet * s.nodes[source] * width;
-  const bool is_column = column + row < columns;
-  const float* weights = layer.weights + (is_column ? (column + row) * layer.row_step : 0);
-  Fragment sums = no_sums();
-  int place = (4 * warp + fragment_quad()) / four, quad = (4 * warp + fragment_quad()) % four;
-  for (int k = 4 * warp; k < quads; k += 4 * NODE_LAYER_WARPS * AHEAD) {
-    float4 upper[AHEAD], lower[AHEAD], right[AHEAD];
-#pragma unroll
-    for (int j = 0; j < AHEAD; j++) {
-      const bool is = place < places;
-      const u32 one = is ? around[row * places + place] : MISSING, other = is ? around[(row + 8) * places + place] : MISSING;
-      upper[j] = quad_of(from + (size_t)one * width + 4 * quad, one != MISSING);
-      lower[j] = quad_of(from + (size_t)other * width + 4 * quad, other != MISSING);
-      right[j] = quad_of(weights + place * place_step + 4 * quad, is && is_column);
-      for (quad += 4 * NODE_LAYER_WARPS; quad >= four; quad -= four) place++;
-    }
-#pragma unroll
-    for (int j = 0; j < AHEAD; j++)
-      if (k + 4 * NODE_LAYER_WARPS * j < quads) add_quads(sums, upper[j], lower[j], right[j]);
-  }
-  float found[4];
-#pragma unroll
-  for (int i = 0; i < 4; i++) found[i] = sum_of(sums, i);
-  if (warp) shares[warp - 1][lane_of()] = float4{found[0], found[1], found[2], found[3]};
-  __syncthreads();
-  if (warp) return;
-#pragma unroll
-  for (int other = 0; other < NODE_LAYER_WARPS - 1; other++) {
-    const float4 share = shares[other][lane_of()];
-    found[0] += share.x;
-    found[1] += share.y;
-    found[2] += share.z;
-    found[3] += share.w;
-  }
-  // A thread has two columns of two rows.
-  const int own = column + 2 * fragment_quad(), at = own % layer.outputs;
-  if (own >= columns) return;
-#pragma unroll
-  for (int half = 0; half < 2; half++) {
-    const int node = begin + row + 8 * half;
-    if (node >= total) continue;
-    const u32 target = spread ? node_at(s, sheet, FROM_CHILDREN, level, node, own / layer.outputs) : node;
-    if (target == MISSING) continue;
-    const size_t to = ((size_t)sheet * s.nodes[target_level] + target) * layer.outputs + at;
-    float* pair = found + 2 * half;
-#pragma unroll
-    for (int u = 0; u < 2; u++) {
-      if (layer.bias) pair[u] += layer.bias[at + u];
-      if (layer.add) pair[u] += layer.add[to + u];
-      if (layer.mask && !(layer.mask[to + u] > 0.0f)) pair[u] = 0.0f;
-      if (layer.rectified && pair[u] < 0.0f) pair[u] = 0.0f;
-    }
-    *(float2*)(layer.to + to) = float2{pair[0], pair[1]};
-  }
+  const int sheet = first + blockIdx.y, level = layer.level;
+  const int source = layer.stencil == FROM_CHILDREN ? level - 1 : level, target = layer.stencil == TO_CHILDREN ? level - 1 : level;
+  const u32 total = s.totals[sheet * LEVELS + level];
+  if (blockIdx.x >= tiles_of(layer, total)) return;
+  layer.from += (size_t)sheet * s.nodes[source] * layer.width;
+  const size_t at = (size_t)sheet * s.nodes[target] * layer.outputs;
+  layer.to += at;
+  if (layer.add) layer.add += at;
+  if (layer.mask) layer.mask += at;
+  layer_tile(layer, total, blockIdx.x, [&](int stencil, u32 node, int place) { return node_at(s, sheet, stencil, level, node, place); });
 }
 
 // Transposed matrices for the forward pass, [columns, inner] from [inner, columns], and their biases. grid (x, matrices), block 256

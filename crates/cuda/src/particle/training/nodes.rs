@@ -9,40 +9,19 @@ use super::{
 use crate::{
     device::{Pointer, Shape, count},
     error::Result,
-    kernels::particle::training::{
-        node_layers::{NODE_LAYER_THREADS, NodeLayer, TrainLayer},
-        plan::{FROM_CHILDREN, NEIGHBOURS, Plan, TO_CHILDREN},
+    kernels::particle::{
+        node_layers::{NODE_LAYER_THREADS, NodeLayer},
+        training::{node_layers::TrainLayer, plan::Plan},
     },
+    particle::nodes::{stencil_number, tiles},
 };
 
 /// Warps that share the sums over particles: two for each row of a stencil, `SUM_THREADS` of the kernels.
 const SUM_WARPS: usize = 6;
-/// Nodes and columns of a block.
-const TILE: [usize; 2] = [16, 8];
-
 /// The layers of both passes, in the order of the forward pass.
 pub(super) struct NodeLayers {
     pub(super) forward: Vec<NodeLayer>,
     pub(super) backward: Vec<NodeLayer>,
-}
-
-/// A stencil as the kernels number it.
-pub(super) fn stencil_number(stencil: Stencil) -> i32 {
-    count(match stencil {
-        Stencil::Neighbours => NEIGHBOURS,
-        Stencil::Children => FROM_CHILDREN,
-        Stencil::Parent => TO_CHILDREN,
-    })
-}
-
-impl NodeLayer {
-    /// Blocks for so many nodes of a sheet.
-    fn blocks(&self, nodes: usize) -> usize {
-        let to_children = self.stencil == stencil_number(Stencil::Parent);
-        let targets = if to_children { Stencil::Parent.children() } else { 1 };
-        let [rows, width] = TILE;
-        nodes.div_ceil(rows) * (targets * self.outputs as usize).div_ceil(width)
-    }
 }
 
 impl NodeLayers {
@@ -122,7 +101,8 @@ impl Training {
         first: usize,
         sheets: usize,
     ) -> Result<()> {
-        let blocks = layer.blocks(self.memory.nodes[layer.level as usize]);
+        let nodes = self.memory.nodes[layer.level as usize];
+        let blocks = tiles(layer.stencil, layer.outputs, nodes);
         let shape = Shape::new(blocks, sheets, NODE_LAYER_THREADS);
         self.launch(shape, TrainLayer { plan: self.plan(), layer, first: count(first) })
     }

@@ -6,14 +6,6 @@
 // Constants beside those of the predictions:
 //   LEARN_WARPS warps of a block that has particles
 
-// Nodes of a stencil, nodes of it behind each other, children of a node.
-#if DIM == 2
-#define STENCIL 9
-#else
-#define STENCIL 27
-#endif
-#define STENCIL_ROWS (STENCIL / 3)
-#define CHILDREN (1 << DIM)
 // Lists of features at nodes: what particles sum up, then the outputs of the layers.
 #define FIELDS (4 * LEVELS)
 #define MAX_FIELDS (4 * MAX_LEVELS)
@@ -100,49 +92,10 @@ __device__ __forceinline__ size_t layer_row(const Plan& s, int layer, int sheets
 }
 __device__ __forceinline__ int frames_of(const Plan& s) { return s.warm_up + s.unroll - 1; }
 
-// Distance between nodes that are neighbours along an axis, in a map.
-__device__ __forceinline__ int map_step(const Plan& s, int level, int axis) {
-  int step = 1;
-  for (int a = 0; a < axis; a++) step *= (int)(s.across[a] >> level);
-  return step;
-}
-// Entry of the cell with the lowest node of a particle's stencil at `base`.
-__device__ __forceinline__ u32 cell_entry(const Plan& s, const int* base) {
-  int entry = 0;
-#pragma unroll
-  for (int a = DIM - 1; a >= 0; a--) entry = entry * (int)s.across[a] + base[a] + ORIGIN;
-  return (u32)entry;
-}
-// From the entry of a node to the one at digit `place` (base 3 for each axis from -1 on; base 2 from 0 on).
-__device__ __forceinline__ int neighbour_step(const Plan& s, int level, int place) {
-  int step = 0;
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    step += (place % 3 - 1) * map_step(s, level, a);
-    place /= 3;
-  }
-  return step;
-}
-// Entry of a child in the map of the next finer level.
-__device__ __forceinline__ u32 child_entry(const Plan& s, int level, u32 entry, int place) {
-  u32 child = 0;
-#pragma unroll
-  for (int a = 0; a < DIM; a++) {
-    const u32 across = s.across[a] >> level, at = a + 1 < DIM ? entry % across : entry;
-    child += (2 * at + ((place >> a) & 1)) * (u32)map_step(s, level - 1, a);
-    entry /= across;
-  }
-  return child;
-}
-
-// A particle's stencil: weights of its nodes along each axis, and the first node of each of its rows.
-struct Stencil {
-  float weights[DIM][3];
-  float place[DIM]; // distance from the lowest node (cells)
-  u32 rows[STENCIL_ROWS];
-};
-__device__ __forceinline__ Stencil stencil_of(const Plan& s, int sheet, const Body& body) {
-  Stencil found;
+// A particle's stencil, and its distance from the lowest node along each axis (cells).
+struct PlacedStencil : Stencil { float place[DIM]; };
+__device__ __forceinline__ PlacedStencil stencil_of(const Plan& s, int sheet, const Body& body) {
+  PlacedStencil found;
   int base[DIM];
 #pragma unroll
   for (int a = 0; a < DIM; a++) {
@@ -151,49 +104,10 @@ __device__ __forceinline__ Stencil stencil_of(const Plan& s, int sheet, const Bo
     found.place[a] = place - lowest;
     spline_weights(found.place[a], found.weights[a]);
   }
-  const u32 entry = cell_entry(s, base);
-  const u32* map = s.maps[0] + (size_t)sheet * s.entries[0];
-#pragma unroll
-  for (int row = 0; row < STENCIL_ROWS; row++) {
-    int step = 0, rest = row;
-#pragma unroll
-    for (int a = 1; a < DIM; a++) {
-      step += rest % 3 * map_step(s, 0, a);
-      rest /= 3;
-    }
-    found.rows[row] = map[entry + step];
-  }
+  set_rows(s, s.maps[0] + (size_t)sheet * s.entries[0], cell_entry(s, base), found);
   return found;
 }
-// The weight of a row of a stencil, from the weights of the other axes.
-__device__ __forceinline__ float row_weight(const float (*weights)[3], int row) {
-  float product = 1.0f;
-#pragma unroll
-  for (int a = 1; a < DIM; a++) {
-    product *= weights[a][row % 3];
-    row /= 3;
-  }
-  return product;
-}
-// Four numbers that a particle gathers from a list of rows of `width` numbers at the nodes.
-__device__ __forceinline__ float4 gathered_quad(const Stencil& own, const float* field, int width, int quad) {
-  float4 sum = {0.0f, 0.0f, 0.0f, 0.0f};
-#pragma unroll
-  for (int row = 0; row < STENCIL_ROWS; row++)
-#pragma unroll
-    for (int column = 0; column < 3; column++) {
-      const float weight = own.weights[0][column] * row_weight(own.weights, row);
-      add_scaled(sum, weight, *(const float4*)(field + (size_t)(own.rows[row] + column) * width + 4 * quad));
-    }
-  return sum;
-}
 
-// What makes up a row of a layer's input: the 3 x 3 around a node, its children; itself, from where a layer goes to the children.
-#define NEIGHBOURS 0
-#define FROM_CHILDREN 1
-#define TO_CHILDREN 2
-#define ITSELF 3
-__device__ __forceinline__ int places_of(int stencil) { return stencil == NEIGHBOURS ? STENCIL : (stencil == FROM_CHILDREN ? CHILDREN : 1); }
 // The node at a place of a node's row, or MISSING.
 __device__ __forceinline__ u32 node_at(const Plan& s, int sheet, int stencil, int level, u32 node, int place) {
   const size_t row = (size_t)sheet * s.nodes[level] + node;

@@ -3,17 +3,20 @@
 use super::{
     Training, WARP,
     layout::{Layout, TrainingConstants},
-    nodes::stencil_number,
 };
 use crate::{
     device::{Device, List, Pointer, Queue, Shape, count},
     error::Result,
-    kernels::particle::training::{
-        node_layers::{
-            OUTER_THREADS as THREADS, OUTER_TILES, Outer, TrainFinite, TrainOuter, TrainSum,
+    kernels::particle::{
+        node_layers::ITSELF,
+        training::{
+            node_layers::{
+                OUTER_THREADS as THREADS, OUTER_TILES, Outer, TrainFinite, TrainOuter, TrainSum,
+            },
+            plan::Plan,
         },
-        plan::{ITSELF, Plan},
     },
+    particle::nodes::stencil_number,
     training::Settings,
 };
 use eddy_inference::checkpoint::grid::Stencil;

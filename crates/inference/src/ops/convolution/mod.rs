@@ -10,7 +10,7 @@
 //!
 //! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/narrow`.
 //! 2. `packed`: for predictions, a block of nodes with the packed weights of [`linear`](super::linear).
-//! 3. On GPUs: `particle/layers.cu` and, for training, `particle/training/node_layers.cu` of `eddy-cuda`.
+//! 3. `particle/node_layers.cu` of `eddy-cuda`: on GPUs, for predictions and both passes of training.
 
 pub(crate) mod packed;
 

@@ -1,6 +1,6 @@
 // A linear layer of a tile of rows in shared memory, for predictions. Matrices are [inner, gates, outputs], their widths rounded up to 4,
 // the biases [gates, outputs] behind them. THREADS threads of a block have ROWS rows each at a time. Trainings multiply on tensor cores
-// (`particle/training/products.cu` of eddy-cuda).
+// (`particle/products.cu` of eddy-cuda).
 
 template <int UNITS> __device__ __forceinline__ void load_units(const float* from, float* to) {
   if constexpr (UNITS == 4) {

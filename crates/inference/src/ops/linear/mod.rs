@@ -2,9 +2,9 @@
 //!
 //! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/matrix` and `kernels/narrow`.
 //! 2. `packed`, `rows`: for predictions, weights in the order in which they are read, and blocks of rows whose sums stay in
-//!    registers. A fused form: the layers of a block of particles run one after the other in the nearest cache.
-//! 3. `device.cu`: for predictions on GPUs. Trainings multiply with cuBLASLt, or, in the particle model, on tensor cores in the
-//!    kernels that gather their rows (`particle/training/products.cu` of `eddy-cuda`).
+//!    registers. The [`engine`](crate::engine) runs the layers of a block of particles one after the other.
+//! 3. `device.cu`: for predictions on GPUs, a tile of rows at a time. Trainings multiply with cuBLASLt, or, in the particle model, on
+//!    tensor cores (`particle/products.cu` of `eddy-cuda`).
 
 pub(crate) mod packed;
 pub(crate) mod rows;

@@ -15,7 +15,7 @@
 //!
 //! 1. This file: whole lists, for training; predictions gather with it, too.
 //! 2. `segments`: P2G of predictions, by blocks of particles.
-//! 3. On GPUs: `particle/layers.cu` and, for training, `particle/training/grid.cu` of `eddy-cuda`.
+//! 3. `device.cu`: both on GPUs.
 
 pub(crate) mod segments;
 
@@ -28,6 +28,9 @@ use crate::kernels::{
     nodes::{Cell, Nodes, Row, WindowRanges, range},
     vectors::{load, store},
 };
+
+/// The sums on GPUs.
+pub const DEVICE: &str = include_str!("device.cu");
 
 /// P2G: the sums over particles of their weights times their `channels`, `[R, C]` to `[M, C]`.
 ///

@@ -15,7 +15,7 @@ extern "C" __global__ void __launch_bounds__(256) bodies_join(const Stream* __re
   const Stream& s = streams[blockIdx.y];
   for (u32 node = first_thread(); node < s.totals[0]; node += all_threads()) {
     const u32 entry = s.lists[0][node];
-    const u32 before[4] = {entry - 1, entry - s.across - 1, entry - s.across, entry - s.across + 1};
+    const u32 before[4] = {entry - 1, entry - s.across[0] - 1, entry - s.across[0], entry - s.across[0] + 1};
 #pragma unroll
     for (int i = 0; i < 4; i++) {
       u32 other = s.maps[0][before[i]], own = node;
@@ -99,7 +99,7 @@ __device__ __forceinline__ u32 warp_largest(u32 v) { return ~warp_least(~v); }
 // up first, since additions to the same number wait for each other. grid (.., B), block 128
 extern "C" __global__ void __launch_bounds__(128) bodies_sum(const Stream* __restrict__ streams, const float* __restrict__ constants, int rule, int step) {
   const Stream& s = streams[blockIdx.y];
-  const u32 cells = s.across * s.down;
+  const u32 cells = s.across[0] * s.across[1];
   for (u32 first = blockIdx.x * blockDim.x; first < cells; first += all_threads()) {
     const u32 cell = first + threadIdx.x, begin = cell < cells ? s.starts[cell] : 0, end = cell < cells ? s.starts[cell + 1] : 0;
     double sums[QUANTITIES];

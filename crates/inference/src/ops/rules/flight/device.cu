@@ -27,7 +27,7 @@ __device__ __forceinline__ bool rigid_error(const BodySums& body, RigidError& er
 extern "C" __global__ void __launch_bounds__(128) flight(const Stream* __restrict__ streams, const float* __restrict__ constants, int rule, int step) {
   const Stream& s = streams[blockIdx.y];
   const float distance = ((const FlightConstants*)constants)->distance;
-  for (u32 cell = first_thread(); cell < s.across * s.down; cell += all_threads()) {
+  for (u32 cell = first_thread(); cell < s.across[0] * s.across[1]; cell += all_threads()) {
     const u32 begin = s.starts[cell], end = s.starts[cell + 1];
     if (begin == end) continue;
     const BodySums& body = body_of(s, cell);

@@ -3,7 +3,7 @@
 // The mean squared speed of each body's fastest cell, observed or predicted. A thread has a cell. grid (.., B), block 128
 extern "C" __global__ void __launch_bounds__(128) rest_speeds(const Stream* __restrict__ streams, const float* __restrict__ constants, int rule, int step) {
   const Stream& s = streams[blockIdx.y];
-  for (u32 cell = first_thread(); cell < s.across * s.down; cell += all_threads()) {
+  for (u32 cell = first_thread(); cell < s.across[0] * s.across[1]; cell += all_threads()) {
     const u32 begin = s.starts[cell], end = s.starts[cell + 1];
     if (begin == end) continue;
     double observed = 0.0, predicted = 0.0;

@@ -2,7 +2,6 @@
 // the product of the latter and the last two bits, products are those of FP32. Matrices are [outputs, inner], so that a thread reads four numbers
 // behind each other.
 #define WARP_ROWS 16
-#define WARP 32
 // Columns of 8 that a warp has at a time.
 #define WARP_COLUMNS 3
 
@@ -40,12 +39,6 @@ __device__ __forceinline__ void add_quads(Fragment& sums, const float4& upper, c
 }
 __device__ __forceinline__ float4 quad_of(const float* from, bool is) {
   return is ? *(const float4*)from : float4{0.0f, 0.0f, 0.0f, 0.0f};
-}
-__device__ __forceinline__ void add_scaled(float4& sum, float scale, const float4& quad) {
-  sum.x = fmaf(scale, quad.x, sum.x);
-  sum.y = fmaf(scale, quad.y, sum.y);
-  sum.z = fmaf(scale, quad.z, sum.z);
-  sum.w = fmaf(scale, quad.w, sum.w);
 }
 
 // Copies four numbers, or zeros, to shared memory, while the thread goes on; `end_copies` ends a group of them, `wait_copies` waits
