@@ -12,7 +12,7 @@ use std::{num::NonZeroUsize, path::Path, sync::Arc};
 use proptest::{prelude::*, sample::select};
 
 use device_streams::{are_copied_and_forgotten, have_the_same_bits_alone_and_beside_others};
-use eddy_cuda::particle::{Constants, Inference, Streams};
+use eddy_cuda::particle::{Constants, Inference, Streams, TrainingConstants};
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Domain, Frame, Material, Stamp};
 use eddy_inference::{
@@ -418,6 +418,14 @@ fn the_pressure_of_a_domain_too_large_for_shared_memory_is_the_same() {
 fn networks_that_do_not_fit_are_named() {
     let sizes = Sizes { encoder: 16, hidden: 5000, layers: 1, particles: None };
     let wide = Description::untrained(Architecture::Particle, Core::Gru, sizes);
-    let message = Constants::of(&wide).unwrap_err().to_string();
+    let message = Constants::of(&wide).err().unwrap().to_string();
     assert!(message.contains("network.hidden 5000"), "{message}");
+    let sizes = Sizes { encoder: 16, hidden: 16, layers: 1, particles: None };
+    let mut wide = Description::untrained(Architecture::Particle, Core::Gru, sizes);
+    wide.grid.as_mut().unwrap().channels = vec![8000, 8, 8];
+    let message = Constants::of(&wide).err().unwrap().to_string();
+    assert!(message.contains("[8000, 8, 8]"), "{message}");
+    wide.grid.as_mut().unwrap().channels = vec![4000, 8, 8];
+    let message = TrainingConstants::of(&wide).err().unwrap().to_string();
+    assert!(message.contains("[4000, 8, 8]"), "{message}");
 }

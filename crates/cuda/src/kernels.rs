@@ -71,6 +71,7 @@ pub(crate) const PARTICLE_TRAINING_SOURCE: &[&str] = &[
     include_str!("particle/training/plan.cu"),
     include_str!("particle/training/grid.cu"),
     include_str!("particle/training/node_layers.cu"),
+    include_str!("particle/training/weights.cu"),
     include_str!("particle/training/particles.cu"),
     include_str!("particle/training/gradients.cu"),
 ];

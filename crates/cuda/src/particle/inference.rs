@@ -11,7 +11,7 @@
 //! | scan | a map | counts, marks | first slots of cells, numbers of nodes |
 //! | scatter, rank | 256 particles | first slots | particles by cells, then by number |
 //! | encode | a tile of slots | particles, links | features, encoded `[n, C0]` |
-//! | to nodes | 32 quadruples of a node | encoded | list 0 `[nodes, C0 + 5]` |
+//! | to nodes | 32 quadruples of inputs of nodes | encoded | list 0 `[nodes, C0 + 5]` |
 //! | layers on nodes | 16 nodes, 16 columns | a list | another list |
 //! | decode | a tile of slots | list 2, features, states | states, predictions |
 //! | rules | a body of jelly; particles, nodes, cells | lattices; particles, links, the grid | predictions |
@@ -31,8 +31,8 @@ use eddy_inference::{
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
 
 use super::{
-    layout::{Constants, Layout, NodeLayer},
-    nodes::tiles,
+    layout::{Constants, Layout, STENCIL_ROWS},
+    node_layers::tiles,
     stream::{Memory, Scales, Size},
 };
 use crate::{
@@ -57,11 +57,9 @@ pub const MOST_STREAMS: usize = 64;
 const SCRATCH: usize = 4 << 30;
 /// Graphs that are kept.
 const GRAPHS: usize = 64;
-/// Warps that sum over the particles around nodes: one for each row of a stencil, `TO_NODES_THREADS` of the kernels.
-const TO_NODES_WARPS: usize = 3;
 /// Blocks of a stage, at most about so many for all streams; each goes on with further tiles.
 const BLOCKS: usize = 16384;
-/// The same of a layer on nodes: with more, blocks without a tile take as long as a step of a few streams.
+/// The same of a layer on nodes. There can be many more tiles than there are: blocks without one also take time.
 const LAYER_BLOCKS: usize = 1024;
 
 /// Particles of an item of a copy between a frame and the memory of the device.
@@ -292,8 +290,12 @@ impl Inference {
     fn launch_all(&self, extent: Extent) -> Result<()> {
         let Extent { streams: number, particles, nodes, chunks, .. } = extent;
         let Constants { tile, .. } = self.constants;
-        let blocks =
-            |count: usize, each: usize| count.div_ceil(each).min((BLOCKS / number).max(64)).max(1);
+        let at_most = |blocks: usize| {
+            move |count: usize, each: usize| {
+                count.div_ceil(each).min((blocks / number).max(64)).max(1)
+            }
+        };
+        let blocks = at_most(BLOCKS);
         let streams = self.rows.pointer();
         let weights = |first: usize| self.weights.pointer().plus(first);
         let by_particle = Shape::new(blocks(particles, 256), number, 256);
@@ -320,16 +322,16 @@ impl Inference {
                 }
                 Stage::ToNodes => {
                     let quads = nodes[0] * (self.constants.encoded_columns() / 4 + 1);
-                    let by_quad = Shape::new(blocks(quads, WARP), number, TO_NODES_WARPS * WARP);
+                    let by_quad = Shape::new(blocks(quads, WARP), number, STENCIL_ROWS * WARP);
                     self.launch(by_quad, ParticleToNodes { streams })?;
                 }
                 Stage::Convolution(layer) => {
-                    let NodeLayer { layer, first } = self.layout.grid[layer];
+                    let layer = self.layout.grid[layer];
                     let most = tiles(layer.stencil, layer.outputs, nodes[layer.level as usize]);
-                    let tiles = most.min((LAYER_BLOCKS / number).max(64)).max(1);
-                    let by_tile = Shape::new(tiles, number, NODE_LAYER_THREADS);
-                    let w = weights(first);
-                    self.launch(by_tile, ParticleLayer { streams, w, layer })?;
+                    let blocks = at_most(LAYER_BLOCKS)(most, 1);
+                    let by_nodes = Shape::new(blocks, number, NODE_LAYER_THREADS);
+                    let w = self.weights.pointer();
+                    self.launch(by_nodes, ParticleLayer { streams, w, layer })?;
                 }
                 Stage::Decode => {
                     let decode = by_tile(self.constants.decode_bytes());

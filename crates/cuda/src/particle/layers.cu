@@ -1,4 +1,4 @@
-// The particle model's layers on particles (`engine/particle_blocks.rs` of eddy-inference). Matrices are
+// The particle model's layers on particles (`engine/particle_blocks.rs` of eddy-inference), and what goes from them to the nodes. Matrices are
 // [in4, gates, out4], the biases [gates, out4] behind them; padding is zero. In shared memory rows are padded so that
 // threads of neighbouring rows use different banks.
 //
@@ -55,7 +55,7 @@ extern "C" __global__ void __launch_bounds__(TO_NODES_THREADS) particle_to_nodes
   const Stream& s = streams[blockIdx.y];
   const u32 total = s.totals[0], across = s.across[0];
   for (u32 first = blockIdx.x * WARP; first < total * (QUADS + 1); first += gridDim.x * WARP) {
-    const u32 item = first + threadIdx.x % WARP, node = item / (QUADS + 1);
+    const u32 item = first + lane_of(), node = item / (QUADS + 1);
     const int quad = item % (QUADS + 1);
     const u32 entry = node < total ? s.lists[0][node] : MISSING;
     const NodeSum found = sum_around<1>(s, entry, s.starts, s.weights,

@@ -23,13 +23,13 @@ use eddy_inference::{
     ops::rules::Network,
 };
 
-use super::nodes::stencil_number;
+use super::node_layers::stencil_number;
 use crate::{
     device::count,
     error::{CudaError, Result},
     kernels::{
         AXES, MATERIALS, PARTICLE_SOURCE, Program,
-        particle::{node_layers::Layer, nodes::ROWS},
+        particle::{node_layers::StreamLayer, nodes::ROWS},
         round_up,
     },
 };
@@ -72,6 +72,10 @@ pub struct Constants {
     /// Particles of a block.
     pub tile: usize,
 }
+
+/// Nodes of a stencil behind each other, and bytes of `struct Stencil` of the kernels.
+pub(super) const STENCIL_ROWS: usize = 3usize.pow(AXES as u32 - 1);
+pub(super) const STENCIL_BYTES: usize = 4 * (3 * AXES + STENCIL_ROWS);
 
 /// W rounded up to 4.
 pub(super) fn four(width: usize) -> usize {
@@ -125,12 +129,19 @@ impl Constants {
             sized.encode_bytes().max(sized.decode_bytes())
         };
         let Some(tile) = fitting(&[64, 32, 16, 8, ROWS], bytes) else {
-            let setting =
-                format!("network.encoder {} with network.hidden {}", sizes.encoder, sizes.hidden);
-            return Err(unsupported(setting, "at most about 950 for each on a GPU"));
+            return Err(constants.too_wide("at most about 950 for each on a GPU"));
         };
         constants.tile = tile;
         Ok(constants)
+    }
+
+    /// That the lists of particles are wider than these.
+    pub(super) fn too_wide(&self, expected: &'static str) -> CudaError {
+        let Self { encoder, hidden, channels, .. } = self;
+        let setting = format!(
+            "network.encoder {encoder}, network.hidden {hidden}, surroundings.channels {channels:?}"
+        );
+        CudaError::Unsupported { setting, expected }
     }
 
     /// Shared memory of a block of the encoder (bytes).
@@ -144,7 +155,7 @@ impl Constants {
         let hidden = self.hidden_columns();
         let wide = odd(self.context_rows().max(hidden));
         let lists = 1 + usize::from(self.core.remembers());
-        4 * self.tile * (wide + lists * odd(hidden) + 9)
+        4 * self.tile * (wide + lists * odd(hidden)) + self.tile * STENCIL_BYTES
     }
 
     /// H rounded up.
@@ -205,18 +216,11 @@ impl Program for Constants {
             ("LOG_FORM", usize::from(self.form == Form::Log)),
             ("NORMALIZED", usize::from(self.normalized)),
             ("TILE", self.tile),
+            ("STENCIL_BYTES", STENCIL_BYTES),
         ];
         let rules = Rules::definitions();
         own.into_iter().chain(self.core.definitions()).chain(rules).collect()
     }
-}
-
-/// A layer on the nodes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct NodeLayer {
-    pub(super) layer: Layer,
-    /// First number of its matrix.
-    pub(super) first: usize,
 }
 
 /// Where the matrices are.
@@ -224,7 +228,7 @@ pub(super) struct NodeLayer {
 pub struct Layout {
     /// First numbers of `encoder.0`, `encoder.1`, and of `context` with all that follow it.
     pub(super) encoder: [usize; 2],
-    pub(super) grid: Vec<NodeLayer>,
+    pub(super) grid: Vec<StreamLayer>,
     pub(super) context: usize,
 }
 
@@ -301,18 +305,16 @@ impl Layout {
                 let (rows, groups) = (stencil.places() * inner, stencil.children());
                 let matrix = Matrix { weight, bias, rows, row: &row, groups, transposed: true };
                 let first = matrix.append(&mut all);
-                NodeLayer {
-                    layer: Layer {
-                        stencil: stencil_number(*stencil),
-                        level: count(layer.node_level()),
-                        from: count(*from),
-                        to: count(*to),
-                        skip: count(skip),
-                        width: count(inner),
-                        outputs: count(outputs),
-                        rectified: layer.rectified.into(),
-                    },
-                    first,
+                StreamLayer {
+                    stencil: stencil_number(*stencil),
+                    level: count(layer.node_level()),
+                    from: count(*from),
+                    to: count(*to),
+                    skip: count(skip),
+                    width: count(inner),
+                    outputs: count(outputs),
+                    rectified: layer.rectified.into(),
+                    weights: count(first),
                 }
             })
             .collect();

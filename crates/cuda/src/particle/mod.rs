@@ -2,14 +2,14 @@
 //!
 //! 1. `layout`: the constants of its kernels, and where its tensors are.
 //! 2. `stream`: what is remembered of a stream, and its scratch memory in a step.
-//! 3. `inference`: streams, frame by frame. `nodes`: launches on nodes.
+//! 3. `inference`: streams, frame by frame. `node_layers`: layers on nodes, for both.
 //! 4. `training`: training steps. [`footprint`]: the memory that they need.
 
 pub mod footprint;
 mod inference;
 mod lattice;
 mod layout;
-mod nodes;
+mod node_layers;
 mod stream;
 mod training;
 

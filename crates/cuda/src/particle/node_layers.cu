@@ -43,9 +43,10 @@ __device__ __forceinline__ void write_pair(const NodeLayer& layer, u32 target, i
   }
   *(float2*)(layer.to + to) = float2{pair[0], pair[1]};
 }
-// Steps of 16 numbers that a warp reads before it needs them.
+// Steps of 16 numbers that a warp reads before it needs them: more take too many registers.
 #define AHEAD 3
-// `node_at(stencil, node, place)` is the node at a place of a node's row, or MISSING.
+// `node_at(stencil, node, place)` is the node at a place of a node's row, or MISSING. All threads of a block call it, and wait for each other
+// before they call it again.
 template <class At> __device__ __forceinline__ void layer_tile(const NodeLayer& layer, u32 nodes, u32 tile, At node_at) {
   __shared__ u32 around[WARP_ROWS * STENCIL];
   __shared__ float4 shares[NODE_LAYER_WARPS][FRAGMENTS][WARP];
@@ -100,14 +101,15 @@ template <class At> __device__ __forceinline__ void layer_tile(const NodeLayer& 
   }
 }
 
-// A layer of a step: its lists by their numbers in a stream. grid (tiles, B), block NODE_LAYER_THREADS
-struct Layer { int stencil, level, from, to, skip, width, outputs, rectified; };
-extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) particle_layer(const Stream* __restrict__ streams, const float* __restrict__ w, Layer layer) {
+// A layer of a step: its lists by their numbers in a stream, its first weight. grid (tiles, B), block NODE_LAYER_THREADS
+struct StreamLayer { int stencil, level, from, to, skip, width, outputs, rectified, weights; };
+extern "C" __global__ void __launch_bounds__(NODE_LAYER_THREADS) particle_layer(const Stream* __restrict__ streams, const float* __restrict__ w, StreamLayer layer) {
   const Stream& s = streams[blockIdx.y];
   const int level = layer.level, inner = places_of(layer.stencil) * layer.width;
-  NodeLayer own = {w, w, s.fields[layer.from], s.fields[layer.to], layer.stencil == TO_CHILDREN ? s.fields[layer.skip] : nullptr, nullptr,
+  const int columns = (layer.stencil == TO_CHILDREN ? CHILDREN : 1) * layer.outputs;
+  const float* weights = w + layer.weights;
+  const NodeLayer own = {weights, weights + inner * columns, s.fields[layer.from], s.fields[layer.to], layer.stencil == TO_CHILDREN ? s.fields[layer.skip] : nullptr, nullptr,
                    layer.stencil, level, layer.width, layer.outputs, layer.rectified, inner, layer.width, 0};
-  own.bias += inner * columns_of(own);
   // A block has tiles that follow each other, mostly columns of the same nodes: their rows are in the nearest cache.
   const u32 total = s.totals[level], tiles = tiles_of(own, total), each = (tiles + gridDim.x - 1) / gridDim.x;
   for (u32 tile = blockIdx.x * each; tile < min(tiles, (blockIdx.x + 1) * each); tile++) {

@@ -27,6 +27,7 @@
 #define THREADS 128 // of a block that has a tile of particles
 #define ROWS 4      // that a thread multiplies
 #define WARP 32
+__device__ __forceinline__ int lane_of() { return threadIdx.x % WARP; }
 
 // A neighbour at rest (`Link` of eddy-inference).
 struct __align__(16) Link {
@@ -286,7 +287,7 @@ extern "C" __global__ void __launch_bounds__(256) particle_rank(const Stream* __
 #pragma unroll
     for (int a = 0; a < 2; a++) {
       const float place = cell_place(s, body, a);
-      spline_weights(place - stencil(place), s.weights + 6 * (size_t)slot + 3 * a);
+      spline_weights(place - stencil(place), s.weights + 3 * DIM * (size_t)slot + 3 * a);
     }
   }
 }

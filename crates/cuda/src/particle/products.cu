@@ -6,7 +6,6 @@
 #define WARP_COLUMNS 3
 
 // A thread's place in the fragments of m16n8k8: row of the left factor, and column of the right one; quadruple within 16 numbers.
-__device__ __forceinline__ int lane_of() { return threadIdx.x % WARP; }
 __device__ __forceinline__ int fragment_row() { return lane_of() / 4; }
 __device__ __forceinline__ int fragment_quad() { return lane_of() % 4; }
 

@@ -48,7 +48,7 @@ use crate::{
     graphs::Graphs,
     kernels::particle::{
         nodes::WARP,
-        training::{grid::TrainObserve, node_layers::Transposed, plan::Plan},
+        training::{grid::TrainObserve, plan::Plan, weights::Transposed},
     },
     training::{Batch, InTraining, Optimizer, Settings, Tables},
 };

@@ -9,8 +9,8 @@ use crate::{
     kernels::{
         particle::training::{
             grid::{CELL_THREADS, TrainCells, TrainToNodes},
-            node_layers::TrainTranspose,
             particles::{TrainAdvance, TrainDecode, TrainEncode},
+            weights::TrainTranspose,
         },
         training::batch_loss::{Loss, Unroll},
     },

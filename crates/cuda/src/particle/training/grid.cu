@@ -114,8 +114,8 @@ extern "C" __global__ void __launch_bounds__(CELL_THREADS) train_cells(const Pla
   }
 }
 
-// The same of a sheet, from rows of `stride` numbers in the order of particles: the quadruple `quad`, or, where it is negative, the mass
-// alone.
+// Sums over the particles around a node of a sheet, from rows of `stride` numbers in the order of particles: the quadruple `quad`, or, where
+// it is negative, the mass alone.
 #define SUM_SHARES 2
 #define SUM_THREADS (SUM_SHARES * STENCIL_ROWS * WARP)
 __device__ __forceinline__ NodeSum sum_of_sheet(const Plan& s, int sheet, u32 entry, const float* values, int stride, int quad) {

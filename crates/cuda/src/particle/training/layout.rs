@@ -15,17 +15,17 @@ use eddy_inference::checkpoint::{Description, grid::GridLayer, layout};
 
 use crate::{
     device::count,
-    error::{CudaError, Result},
+    error::Result,
     kernels::{
         AXES, PARTICLE_TRAINING_SOURCE, Program,
-        particle::{products::WARP_ROWS, training::node_layers::Transposed},
+        particle::{products::WARP_ROWS, training::weights::Transposed},
     },
-    particle::layout::{Constants, fitting, four, odd},
+    particle::layout::{Constants, STENCIL_BYTES, STENCIL_ROWS, fitting, four, odd},
     training::{Builder, Matrix, Packing, Part},
 };
 
 /// Bytes of `struct PlacedStencil` of the kernels.
-const STENCIL: usize = 4 * (4 * AXES + 3usize.pow(AXES as u32 - 1));
+const PLACED_STENCIL_BYTES: usize = STENCIL_BYTES + 4 * AXES;
 
 /// What the kernels of a training, which also predict, are compiled for.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,11 +56,9 @@ impl TrainingConstants {
             .unwrap_or_default()
         };
         let Some(warps) = fitting(&[4, 2, 1], bytes) else {
-            let (encoder, hidden) = (network.encoder, network.hidden);
-            let setting = format!("network.encoder {encoder} with network.hidden {hidden}");
-            let expected =
-                "at most about 250 hidden units and an encoder of about 1400 to train on a GPU";
-            return Err(CudaError::Unsupported { setting, expected });
+            return Err(network.too_wide(
+                "at most about 250 hidden units, an encoder and a finest level of about 1400 to train on a GPU",
+            ));
         };
         Ok(Self { network, warps })
     }
@@ -98,7 +96,7 @@ impl TrainingConstants {
     }
 
     pub(super) fn decode_bytes(&self) -> usize {
-        self.decode_gradient_bytes() + self.tile() * STENCIL
+        self.decode_gradient_bytes() + self.tile() * PLACED_STENCIL_BYTES
     }
 
     pub(super) fn decode_gradient_bytes(&self) -> usize {
@@ -108,7 +106,7 @@ impl TrainingConstants {
     }
 
     pub(super) fn encode_gradient_bytes(&self) -> usize {
-        self.encode_bytes() + self.tile() * (4 * 3usize.pow(AXES as u32) + STENCIL)
+        self.encode_bytes() + self.tile() * (4 * 3 * STENCIL_ROWS + PLACED_STENCIL_BYTES)
     }
 }
 

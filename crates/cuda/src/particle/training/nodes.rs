@@ -11,13 +11,17 @@ use crate::{
     error::Result,
     kernels::particle::{
         node_layers::{NODE_LAYER_THREADS, NodeLayer},
-        training::{node_layers::TrainLayer, plan::Plan},
+        training::{grid::SUM_SHARES, node_layers::TrainLayer, plan::Plan},
     },
-    particle::nodes::{stencil_number, tiles},
+    particle::{
+        layout::STENCIL_ROWS,
+        node_layers::{stencil_number, tiles},
+    },
 };
 
-/// Warps that share the sums over particles: two for each row of a stencil, `SUM_THREADS` of the kernels.
-const SUM_WARPS: usize = 6;
+/// Warps that share the sums over particles: `SUM_SHARES` of the kernels for each row of a stencil.
+const SUM_WARPS: usize = SUM_SHARES * STENCIL_ROWS;
+
 /// The layers of both passes, in the order of the forward pass.
 pub(super) struct NodeLayers {
     pub(super) forward: Vec<NodeLayer>,

@@ -94,6 +94,7 @@ __device__ __forceinline__ int frames_of(const Plan& s) { return s.warm_up + s.u
 
 // A particle's stencil, and its distance from the lowest node along each axis (cells).
 struct PlacedStencil : Stencil { float place[DIM]; };
+static_assert(sizeof(PlacedStencil) == STENCIL_BYTES + 4 * DIM, "of training/layout.rs");
 __device__ __forceinline__ PlacedStencil stencil_of(const Plan& s, int sheet, const Body& body) {
   PlacedStencil found;
   int base[DIM];

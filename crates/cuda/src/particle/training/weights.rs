@@ -10,13 +10,13 @@ use crate::{
     kernels::particle::{
         node_layers::ITSELF,
         training::{
-            node_layers::{
+            plan::Plan,
+            weights::{
                 OUTER_THREADS as THREADS, OUTER_TILES, Outer, TrainFinite, TrainOuter, TrainSum,
             },
-            plan::Plan,
         },
     },
-    particle::nodes::stencil_number,
+    particle::node_layers::stencil_number,
     training::Settings,
 };
 use eddy_inference::checkpoint::grid::Stencil;

@@ -10,7 +10,7 @@
 //!
 //! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/narrow`.
 //! 2. `packed`: for predictions, a block of nodes with the packed weights of [`linear`](super::linear).
-//! 3. `particle/node_layers.cu` of `eddy-cuda`: on GPUs, for predictions and both passes of training.
+//! 3. `particle/node_layers.cu` of `eddy-cuda`, beside the code that launches it: on GPUs, for predictions and both passes of training.
 
 pub(crate) mod packed;
 
@@ -42,10 +42,10 @@ pub struct Convolution<'a> {
 }
 
 impl Convolution<'_> {
-    /// y, `[M, O]`, from x, `[.., I]`, and from a, `[M, O]`, where the layer reads parents and something is added.
+    /// y, `[M, O]`, from x, `[.., I]`, and from a, `[M, O]`, where the layer reads parents.
     ///
     /// # Panics
-    /// If something is added to a layer that reads no parents.
+    /// If a is missing there, or given to another layer.
     pub fn forward(&self, input: &[f32], added: Option<&[f32]>) -> Vec<f32> {
         if self.layer.stencil != Stencil::Parent {
             assert!(added.is_none(), "only layers that read parents have a skip connection");
@@ -55,9 +55,8 @@ impl Convolution<'_> {
         let parent = self.parent();
         let mut output = self.bias.repeat(parent.len());
         add_shares(parent, input, self.matrix(), &mut output);
-        if let Some(added) = added {
-            output.iter_mut().zip(added).for_each(|(sum, added)| *sum += added);
-        }
+        let added = added.expect("layers that read parents have a skip connection");
+        output.iter_mut().zip(added).for_each(|(sum, added)| *sum += added);
         if let Some(activation) = self.activation() {
             activate(activation, &mut output);
         }

@@ -90,9 +90,9 @@ impl Convolution {
                 let children = &level.children[own.clone()];
                 let added = self.added.expect("layers that read parents have a skip connection");
                 let (added, written) = (lists.numbers[added], lists.numbers[to]);
-                let width = lists.widths[to];
+                let (width, rectify) = (lists.widths[to], self.layer.rectified);
                 for (child, linear) in self.linears.iter().enumerate() {
-                    let mut sink = Children { children, child, added, to: written, width };
+                    let mut sink = Children { children, child, added, to: written, width, rectify };
                     let source = Rows { numbers, width: rows.width };
                     apply(simd, linear, own.len(), &source, &mut sink);
                 }
@@ -128,13 +128,14 @@ fn by_child(weight: &Weights, bias: &Weights) -> [Weights; 4] {
     })
 }
 
-/// Writes to one child of each parent of a block: ReLU of the sum with the list that is added.
+/// Writes to one child of each parent of a block: the sum with the list that is added, with ReLU if `rectify`.
 struct Children<'a> {
     children: &'a [[u32; 4]],
     child: usize,
     added: DisjointSlice<'a, f32>,
     to: DisjointSlice<'a, f32>,
     width: usize,
+    rectify: bool,
 }
 
 impl Sink for Children<'_> {
@@ -149,6 +150,6 @@ impl Sink for Children<'_> {
         // SAFETY: a node has one parent, which is in this block only; this stage does not write to `added`.
         let (added, to) = unsafe { (self.added.read(place.clone()), self.to.part(place)) };
         let sums = simd.add_f32s(load(simd, added), sums);
-        store(simd, to, relu(simd, sums));
+        store(simd, to, if self.rectify { relu(simd, sums) } else { sums });
     }
 }

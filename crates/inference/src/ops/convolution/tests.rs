@@ -40,13 +40,13 @@ fn layer(stencil: Stencil, level: usize, channels: [usize; 2], rectified: bool) 
 
 /// Numbers of rows that a layer reads and writes.
 fn rows(nodes: &Nodes, layer: &GridLayer) -> [usize; 2] {
-    let finer = |level: usize| nodes.level(level).len();
+    let count = |level: usize| nodes.level(level).len();
     let read = match layer.stencil {
         Stencil::Neighbours => layer.level,
         Stencil::Children => layer.level - 1,
         Stencil::Parent => layer.level + 1,
     };
-    [finer(read), finer(layer.level)]
+    [count(read), count(layer.level)]
 }
 
 /// The definition of a layer: y[output] += x[input] W[block] for each row that a table connects with another one.
@@ -140,8 +140,6 @@ fn any_layer(random: &mut ChaCha8Rng, channels: [usize; 2], rectified: bool) -> 
         [(Stencil::Neighbours, 0..3), (Stencil::Children, 1..3), (Stencil::Parent, 0..2)]
             [random.random_range(0..3)]
         .clone();
-    // Layers that read parents are rectified.
-    let rectified = rectified || stencil == Stencil::Parent;
     layer(stencil, random.random_range(levels), channels, rectified)
 }
 

@@ -7,7 +7,8 @@
 //! | 1 | m / [`FULL_MASS`], where m is the sum of w_p |
 //! | 4 | exp(-d / w) of the distance d from the left, lower, right and upper effective wall; 1 beyond. w is the width of a cell |
 //!
-//! This file is for training, with the gradient; `rows` for predictions; `device.cu` has what all kernels share. The definition in burn
+//! This file is for training, with the gradient; `rows` for predictions; `device.cu` for both on GPUs, from the sums of
+//! [`transfer`](super::transfer). The definition in burn
 //! is `model/sparse.rs` of `eddy-learning`.
 
 pub(crate) mod rows;

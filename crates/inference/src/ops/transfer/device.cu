@@ -18,7 +18,7 @@ __device__ __forceinline__ float row_weight(const float (*weights)[3], int row) 
   return product;
 }
 // From the first node of a stencil to the first one of a row of it, in a map.
-template <class S> __device__ __forceinline__ int row_step(const S& s, int row) {
+template <class S> __device__ __forceinline__ int map_row(const S& s, int row) {
   int step = 0;
 #pragma unroll
   for (int a = 1; a < DIM; a++) {
@@ -28,35 +28,36 @@ template <class S> __device__ __forceinline__ int row_step(const S& s, int row) 
   return step;
 }
 
-// Sums over the particles around a node (P2G), `mass` that of the weights. A block has 32 items, one in each lane. A warp has one of SHARES
-// shares of a row of stencils; the first one has the sums of all. `starts` are the first slots of cells, `weights` those of the particle in
-// a slot, and `values(slot)` has its four numbers, or none.
+// Sums over the particles around a node (P2G), `mass` that of the weights. A block has 32 items, one in each lane. A warp adds up one of
+// SHARES shares of a row of stencils; all have the sums of the whole. `starts` are the first slots of cells, `slot_weights` those of the
+// particle in a slot, and `values(slot)` has its four numbers, or none. All threads of a block call it, and wait for each other before they
+// call it again.
 struct NodeSum { float4 sum; float mass; };
 template <int SHARES, class S, class Values>
-__device__ __forceinline__ NodeSum sum_around(const S& s, u32 entry, const u32* starts, const float* all_weights, Values values) {
+__device__ __forceinline__ NodeSum sum_around(const S& s, u32 entry, const u32* starts, const float* slot_weights, Values values) {
   __shared__ NodeSum sums[SHARES * STENCIL_ROWS][WARP];
   const int warp = threadIdx.x / WARP, row = warp / SHARES, share = warp % SHARES;
   NodeSum found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
   if (entry != MISSING) {
     // This is node (i, row) of the stencil of the cell i further left.
-    const u32 last = entry - row_step(s, row);
+    const u32 last = entry - map_row(s, row);
     const u32 begin = starts[last - 2], middle = starts[last - 1], right = starts[last], end = starts[last + 1];
-    const u32 half = begin + (end - begin) * share / SHARES, next = begin + (end - begin) * (share + 1) / SHARES;
+    const u32 from = begin + (end - begin) * share / SHARES, until = begin + (end - begin) * (share + 1) / SHARES;
 #pragma unroll 8
-    for (u32 slot = half; slot < next; slot++) {
-      const float (*weights)[3] = (const float (*)[3])(all_weights + (size_t)slot * (3 * DIM));
+    for (u32 slot = from; slot < until; slot++) {
+      const float (*weights)[3] = (const float (*)[3])(slot_weights + (size_t)slot * (3 * DIM));
       const float weight = weights[0][slot < middle ? 2 : (slot < right ? 1 : 0)] * row_weight(weights, row);
       found.mass += weight;
       const float* own = values(slot);
       if (own) add_scaled(found.sum, weight, *(const float4*)own);
     }
   }
-  sums[warp][threadIdx.x % WARP] = found;
+  sums[warp][lane_of()] = found;
   __syncthreads();
   found = {{0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
 #pragma unroll
   for (int other = 0; other < SHARES * STENCIL_ROWS; other++) {
-    const NodeSum part = sums[other][threadIdx.x % WARP];
+    const NodeSum part = sums[other][lane_of()];
     add_scaled(found.sum, 1.0f, part.sum);
     found.mass += part.mass;
   }
@@ -65,10 +66,11 @@ __device__ __forceinline__ NodeSum sum_around(const S& s, u32 entry, const u32* 
 
 // A particle's stencil: weights of its nodes along each axis, and the first node of each of its rows.
 struct Stencil { float weights[DIM][3]; u32 rows[STENCIL_ROWS]; };
+static_assert(sizeof(Stencil) == STENCIL_BYTES, "of eddy-cuda's particle/layout.rs");
 // Sets the rows from the entry of its cell in a map.
 template <class S> __device__ __forceinline__ void set_rows(const S& s, const u32* map, u32 cell, Stencil& own) {
 #pragma unroll
-  for (int row = 0; row < STENCIL_ROWS; row++) own.rows[row] = map[cell + row_step(s, row)];
+  for (int row = 0; row < STENCIL_ROWS; row++) own.rows[row] = map[cell + map_row(s, row)];
 }
 // Four numbers that a particle gathers (G2P) from a list of rows of `width` numbers at the nodes.
 __device__ __forceinline__ float4 gathered_quad(const Stencil& own, const float* field, int width, int quad) {
