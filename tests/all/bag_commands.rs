@@ -215,7 +215,7 @@ fn frames_get_clouds_beside_them_and_everything_else_stays_as_it_was() {
     let frames: Vec<_> = others.iter().filter(|(topic, ..)| topic == "/particles").collect();
     assert_eq!(clouds.len(), frames.len());
     for (cloud, frame) in clouds.iter().zip(frames) {
-        let expected = eddy_messages::cloud::to_cdr(&Frame::from_cdr(&frame.4).unwrap());
+        let expected = eddy_messages::cloud::to_cdr(&<Frame>::from_cdr(&frame.4).unwrap());
         assert_eq!((cloud.1, cloud.2, cloud.3), (frame.1, frame.2, frame.3), "number and times");
         assert!(cloud.4 == expected, "frame {}", frame.1);
     }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use eddy_messages::{
-    DiagnosticArray, Message as _, PointCloud2, PredictionStatus, cdr, cloud::POINT_STEP,
+    DiagnosticArray, Message as _, PointCloud2, PredictionStatus, cdr, cloud::point_step,
 };
 use eddy_transport::{FoxgloveServer, ListenAddress};
 use serde_json::{Value, json};
@@ -206,7 +206,7 @@ fn a_viewer_that_never_reads_costs_messages_and_nothing_else() {
         scope.spawn(|| {
             while !stop.load(Ordering::Relaxed) {
                 let number = published.fetch_add(1, Ordering::Relaxed);
-                let mut bytes = vec![0; PARTICLES * POINT_STEP];
+                let mut bytes = vec![0; PARTICLES * point_step(2)];
                 bytes[..4].copy_from_slice(&number.to_le_bytes());
                 publisher.publish_cdr(&bytes).unwrap();
             }

@@ -40,6 +40,7 @@ mod secure;
 mod services;
 mod shell;
 mod shm;
+mod space;
 mod stated;
 mod stiffness;
 mod stuck;

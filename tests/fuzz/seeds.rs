@@ -23,15 +23,16 @@ fn keep(target: &str, name: &str, bytes: impl AsRef<[u8]>) {
     fs::write(corpus(target).join(name), bytes).unwrap();
 }
 
-fn frame(sequence: u64) -> Frame {
+fn frame<const D: usize>(sequence: u64) -> Frame<D> {
+    let vectors = |of: [[f32; 3]; 2]| of.map(|all| std::array::from_fn(|axis| all[axis])).to_vec();
     Frame {
         stream: 3,
         sequence,
         stamp: Stamp(sequence as i64 * 16_000_000),
         dt: 0.016,
-        domain: Domain::UNIT,
-        position: vec![[0.25, 0.5], [0.5, 0.75]],
-        velocity: vec![[0.0, -1.0], [1.0, 0.0]],
+        domain: Domain { lower: [0.0; D], upper: [1.0; D] },
+        position: vectors([[0.25, 0.5, 0.75], [0.5, 0.75, 0.25]]),
+        velocity: vectors([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]),
         material: vec![Material::Liquid, Material::Snow],
     }
 }
@@ -48,7 +49,8 @@ fn write_the_first_inputs() {
 }
 
 fn messages() {
-    keep("cdr", "particle_frame", frame(1).to_cdr());
+    keep("cdr", "particle_frame", frame::<2>(1).to_cdr());
+    keep("cdr", "particle_frame_in_space", frame::<3>(1).to_cdr());
     let status = PredictionStatus {
         header: Default::default(),
         stream: 1,
@@ -87,7 +89,7 @@ fn bags() {
         let particles = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
         let words = bag.topic("/words", RosString::TYPE).unwrap();
         for number in 0..6 {
-            let frame = frame(number);
+            let frame = frame::<2>(number);
             bag.write(particles, frame.stamp, frame.stamp, &frame.to_cdr()).unwrap();
         }
         bag.write(words, Stamp(7), Stamp(8), &[0, 1, 0, 0, 1, 0, 0, 0, 0]).unwrap();

@@ -13,7 +13,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use eddy_bag::{
     BagReader, CopyOptions, Recovery, Reindexing, Selection, Survey, WriterOptions, extract,
 };
-use eddy_frames::{Frame, Stamp};
+use eddy_frames::{AnyFrame, Frame, Stamp, with_frame};
 use eddy_inference::{
     checkpoint::{Architecture, Checkpoint},
     engine::Surrogate,
@@ -70,9 +70,12 @@ fn messages(bytes: &[u8]) {
     reads::<services::ListParametersRequest>(bytes);
     reads::<services::ListParametersResponse>(bytes);
     reads::<services::DescribeParametersResponse>(bytes);
-    if let Ok(frame) = Frame::from_cdr(bytes) {
-        frame.check().expect("decoded frames are valid");
-        assert_eq!(Frame::from_cdr(&frame.to_cdr()).as_ref(), Ok(&frame));
+    if let Ok(frame) = AnyFrame::from_cdr(bytes) {
+        with_frame!(&frame, frame => frame.check()).expect("decoded frames are valid");
+        assert_eq!(AnyFrame::from_cdr(&frame.to_cdr()).as_ref(), Ok(&frame));
+        let readers = [Frame::<2>::from_cdr(bytes).is_ok(), Frame::<3>::from_cdr(bytes).is_ok()];
+        let is_plane = matches!(frame, AnyFrame::Two(_));
+        assert_eq!(readers, [is_plane, !is_plane], "who knows one dimension takes that one");
     }
 }
 

@@ -5,9 +5,13 @@
 //! public and predictions may diverge: predicted frames are checked with [`Frame::check`] before they are published. A
 //! [`FrameView`] reads a frame in place.
 //!
+//! Frames are of two or three dimensions, which is part of their type: what knows two writes `Frame`, what knows both is generic. Where
+//! the dimension is only known from the data, [`AnyFrame`] has one of the two.
+//!
 //! What a model is trained on or predicts from must also be plausible ([`FrameView::check_plausible`]), and frames that
 //! are used together have one setup ([`same_setup`]): `valid` has these rules, whoever reads the frames.
 
+mod any;
 pub mod clock;
 pub mod date;
 pub mod palette;
@@ -16,6 +20,7 @@ mod state;
 mod valid;
 mod view;
 
+pub use any::{AnyDomain, AnyFrame, Coordinates};
 pub use state::{State, mean_squared_distance, squared_distance};
 pub use valid::{InvalidFrame, same_setup};
 pub use view::{FrameView, Particle, Particles};
@@ -107,41 +112,45 @@ impl TryFrom<u8> for Material {
     }
 }
 
-/// The axis-aligned box that contains the particles (domain lengths).
+/// The axis-aligned box of `D` dimensions that contains the particles (domain lengths).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Domain {
+#[serde(
+    deny_unknown_fields,
+    bound(serialize = "[f32; D]: Serialize", deserialize = "[f32; D]: Deserialize<'de>")
+)]
+pub struct Domain<const D: usize = 2> {
     /// Corner with the smallest coordinates.
-    pub lower: [f32; 2],
+    pub lower: [f32; D],
     /// Corner with the largest coordinates.
-    pub upper: [f32; 2],
+    pub upper: [f32; D],
 }
 
 impl Domain {
     /// The unit square of the paper.
     pub const UNIT: Self = Self { lower: [0.0; 2], upper: [1.0; 2] };
+}
 
-    /// Whether `lower` is below `upper` on both axes, by a finite distance.
+impl<const D: usize> Domain<D> {
+    /// Whether `lower` is below `upper` on all axes, by a finite distance.
     pub fn is_valid(&self) -> bool {
         self.extent().into_iter().all(|extent| extent.is_finite() && extent > 0.0)
     }
 
-    /// Width and height (domain lengths).
-    pub fn extent(&self) -> [f32; 2] {
+    /// Width, height and, in space, depth (domain lengths).
+    pub fn extent(&self) -> [f32; D] {
         std::array::from_fn(|axis| self.upper[axis] - self.lower[axis])
     }
 }
 
-impl fmt::Display for Domain {
+impl<const D: usize> fmt::Display for Domain<D> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { lower, upper } = self;
-        write!(f, "{} to {} x {} to {}", lower[0], upper[0], lower[1], upper[1])
+        AnyDomain::from(*self).fmt(f)
     }
 }
 
-/// All particles at one instant. `N` is the number of particles.
+/// All particles at one instant. `N` is the number of particles, `D` of dimensions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct Frame<const D: usize = 2> {
     /// Id of the simulated trajectory.
     pub stream: u64,
     /// Number of the frame in its stream; consecutive.
@@ -151,16 +160,16 @@ pub struct Frame {
     /// Time between two frames of the stream (s).
     pub dt: f32,
     /// The box that contains the particles.
-    pub domain: Domain,
-    /// Positions, `[N, 2]` (domain lengths).
-    pub position: Vec<[f32; 2]>,
-    /// Velocities, `[N, 2]` (domain lengths per second).
-    pub velocity: Vec<[f32; 2]>,
+    pub domain: Domain<D>,
+    /// Positions, `[N, D]` (domain lengths).
+    pub position: Vec<[f32; D]>,
+    /// Velocities, `[N, D]` (domain lengths per second).
+    pub velocity: Vec<[f32; D]>,
     /// Materials, `[N]`.
     pub material: Vec<Material>,
 }
 
-impl Frame {
+impl<const D: usize> Frame<D> {
     /// Creates a checked frame.
     ///
     /// # Errors
@@ -172,9 +181,9 @@ impl Frame {
         sequence: u64,
         stamp: Stamp,
         dt: f32,
-        domain: Domain,
-        position: Vec<[f32; 2]>,
-        velocity: Vec<[f32; 2]>,
+        domain: Domain<D>,
+        position: Vec<[f32; D]>,
+        velocity: Vec<[f32; D]>,
         material: Vec<Material>,
     ) -> Result<Self, InvalidFrame> {
         let frame = Self { stream, sequence, stamp, dt, domain, position, velocity, material };
@@ -212,8 +221,8 @@ impl Frame {
             if found != particles && particles > 0 {
                 return Err(InvalidFrame::Length {
                     field,
-                    found: 2 * found,
-                    expected: 2 * particles,
+                    found: D * found,
+                    expected: D * particles,
                     particles,
                 });
             }

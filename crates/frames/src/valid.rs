@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Domain, FrameView, Particles, Stamp, decimal};
+use super::{AnyDomain, Coordinates, Domain, FrameView, Particles, Stamp, decimal};
 
 /// Largest accepted distance of a particle from any wall of its domain (widths or heights of the domain). Solvers leave a
 /// few particles slightly outside.
@@ -22,12 +22,12 @@ const NANOSECONDS: i64 = 1_000_000_000;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the message says what the fields are")]
 pub enum InvalidFrame {
-    /// A corner of the domain does not have two coordinates.
-    #[error("{field}: found {found} dimensions, expected 2")]
-    Dimension { field: &'static str, found: usize },
+    /// A corner of the domain does not have as many coordinates as the frames that are expected.
+    #[error("{field}: found {found} dimensions, expected {expected}")]
+    Dimension { field: &'static str, found: usize, expected: String },
     /// The domain is empty or not finite.
     #[error("lower, upper: found {found}, expected finite corners with lower < upper")]
-    Domain { found: Domain },
+    Domain { found: AnyDomain },
     /// The length of an array does not match the number of particles.
     #[error("{field}: found {found} numbers, expected {expected} for {particles} particles")]
     Length { field: &'static str, found: usize, expected: usize, particles: usize },
@@ -55,22 +55,20 @@ pub enum InvalidFrame {
     Stamp { found: i64 },
     /// A particle is far outside of the domain; probably the units are wrong.
     #[error(
-        "position[{particle}]: found {}, {}, expected inside the domain {domain}, or outside by at most a tenth of it: units?",
-        found[0], found[1]
+        "position[{particle}]: found {found}, expected inside the domain {domain}, or outside by at most a tenth of it: units?"
     )]
-    Outside { particle: usize, found: [f32; 2], domain: Domain },
+    Outside { particle: usize, found: Coordinates, domain: AnyDomain },
     /// A particle would cross the domain between two frames; probably the units are wrong.
     #[error(
-        "velocity[{particle}]: found {}, {} domain lengths/s, expected at most {}, {}: twice through the domain in {dt} s: units?",
-        found[0], found[1], most[0], most[1]
+        "velocity[{particle}]: found {found} domain lengths/s, expected at most {most}: twice through the domain in {dt} s: units?"
     )]
-    Fast { particle: usize, found: [f32; 2], most: [f32; 2], dt: f32 },
+    Fast { particle: usize, found: Coordinates, most: Coordinates, dt: f32 },
     /// What is the same in all frames that are used together differs from most streams.
     #[error("{field}: found {found}, expected {expected} as in most streams")]
     OtherSetup { field: &'static str, found: String, expected: String },
 }
 
-impl FrameView<'_> {
+impl<const D: usize> FrameView<'_, D> {
     /// Checks that the frame is valid: everything that [`Frame::new`](super::Frame::new) checks, except the lengths of
     /// arrays.
     ///
@@ -95,7 +93,7 @@ impl FrameView<'_> {
             return Err(InvalidFrame::Stamp { found: stamp.0 });
         }
         if !domain.is_valid() {
-            return Err(InvalidFrame::Domain { found: *domain });
+            return Err(InvalidFrame::Domain { found: (*domain).into() });
         }
         if !(dt.is_finite() && *dt > 0.0) {
             return Err(InvalidFrame::Interval { found: *dt });
@@ -116,12 +114,15 @@ impl FrameView<'_> {
         let extent = domain.extent();
         let per_length = extent.map(|extent| 1.0 / extent);
         let most = extent.map(|extent| MAX_CROSSINGS * extent / dt);
-        let is_outside = |[x, y]: [f32; 2]| {
-            let x = (x - lower[0]).max(upper[0] - x) * per_length[0];
-            let y = (y - lower[1]).max(upper[1] - y) * per_length[1];
-            x > MAX_REACH || y > MAX_REACH
+        let is_outside = |position: [f32; D]| {
+            (0..D).fold(false, |outside, axis| {
+                let x = (position[axis] - lower[axis]).max(upper[axis] - position[axis]);
+                outside | (x * per_length[axis] > MAX_REACH)
+            })
         };
-        let is_fast = |[vx, vy]: [f32; 2]| vx.abs() > most[0] || vy.abs() > most[1];
+        let is_fast = |velocity: [f32; D]| {
+            (0..D).fold(false, |fast, axis| fast | (velocity[axis].abs() > most[axis]))
+        };
         let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
         // Without a branch per particle: nearly always, there is nothing to find.
         let (mut outside, mut fast) = (false, false);
@@ -132,25 +133,25 @@ impl FrameView<'_> {
         if outside {
             let particle = motions().position(|(position, _)| is_outside(position));
             let particle = particle.unwrap_or_default();
-            let found = particles.motion(particle).0;
+            let (found, domain) = (particles.motion(particle).0.into(), domain.into());
             return Err(InvalidFrame::Outside { particle, found, domain });
         }
         if fast {
             let particle = motions().position(|(_, velocity)| is_fast(velocity));
             let particle = particle.unwrap_or_default();
-            let found = particles.motion(particle).1;
+            let found = particles.motion(particle).1.into();
             // As it is printed: 125, not 124.99999.
             let most = extent
                 .map(|extent| (f64::from(MAX_CROSSINGS) * decimal(extent) / decimal(dt)) as f32);
-            return Err(InvalidFrame::Fast { particle, found, most, dt });
+            return Err(InvalidFrame::Fast { particle, found, most: most.into(), dt });
         }
         Ok(())
     }
 }
 
-fn first_not_finite(
+fn first_not_finite<const D: usize>(
     field: &'static str,
-    vectors: impl Iterator<Item = [f32; 2]>,
+    vectors: impl Iterator<Item = [f32; D]>,
 ) -> Result<(), InvalidFrame> {
     let found = vectors
         .enumerate()
@@ -173,7 +174,10 @@ impl Stamp {
 ///
 /// # Errors
 /// [`InvalidFrame::OtherSetup`] if not.
-pub fn same_setup(found: (f32, Domain), expected: (f32, Domain)) -> Result<(), InvalidFrame> {
+pub fn same_setup<const D: usize>(
+    found: (f32, Domain<D>),
+    expected: (f32, Domain<D>),
+) -> Result<(), InvalidFrame> {
     let other = |field, found: &dyn fmt::Display, expected: &dyn fmt::Display| {
         let (found, expected) = (found.to_string(), expected.to_string());
         Err(InvalidFrame::OtherSetup { field, found, expected })

@@ -2,25 +2,21 @@
 
 use super::{Domain, Frame, Material, Stamp};
 
-/// A particle in shared memory, 20 bytes.
+/// A particle of `D` dimensions in shared memory: 20 bytes in the plane, 28 in space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
-pub struct Particle {
+pub struct Particle<const D: usize = 2> {
     /// Position (domain lengths).
-    pub x: f32,
-    /// Position (domain lengths).
-    pub y: f32,
+    pub position: [f32; D],
     /// Velocity (domain lengths per second).
-    pub vx: f32,
-    /// Velocity (domain lengths per second).
-    pub vy: f32,
+    pub velocity: [f32; D],
     /// Number of the [`Material`].
     pub material: u32,
 }
 
 /// A view of a frame: of the arrays of a [`Frame`], or of the particles in memory that another program has written.
 #[derive(Clone, Copy, Debug)]
-pub struct FrameView<'a> {
+pub struct FrameView<'a, const D: usize = 2> {
     /// Id of the simulated trajectory.
     pub stream: u64,
     /// Number of the frame in its stream; consecutive.
@@ -30,29 +26,29 @@ pub struct FrameView<'a> {
     /// Time between two frames of the stream (s).
     pub dt: f32,
     /// The box that contains the particles.
-    pub domain: Domain,
+    pub domain: Domain<D>,
     /// Positions, velocities and materials.
-    pub particles: Particles<'a>,
+    pub particles: Particles<'a, D>,
 }
 
 /// The particles of a frame, in one of two layouts.
 #[derive(Clone, Copy, Debug)]
-pub enum Particles<'a> {
+pub enum Particles<'a, const D: usize = 2> {
     /// One array per property, all of the same length.
     Lists {
-        /// `[N, 2]` (domain lengths).
-        position: &'a [[f32; 2]],
-        /// `[N, 2]` (domain lengths per second).
-        velocity: &'a [[f32; 2]],
+        /// `[N, D]` (domain lengths).
+        position: &'a [[f32; D]],
+        /// `[N, D]` (domain lengths per second).
+        velocity: &'a [[f32; D]],
         /// `[N]`.
         material: &'a [Material],
     },
     /// One struct per particle.
-    Rows(&'a [Particle]),
+    Rows(&'a [Particle<D>]),
 }
 
-impl<'a> From<&'a Frame> for FrameView<'a> {
-    fn from(frame: &'a Frame) -> Self {
+impl<'a, const D: usize> From<&'a Frame<D>> for FrameView<'a, D> {
+    fn from(frame: &'a Frame<D>) -> Self {
         let Frame { stream, sequence, stamp, dt, domain, position, velocity, material } = frame;
         let particles = Particles::Lists { position, velocity, material };
         let (stream, sequence, stamp) = (*stream, *sequence, *stamp);
@@ -60,7 +56,7 @@ impl<'a> From<&'a Frame> for FrameView<'a> {
     }
 }
 
-impl<'a> Particles<'a> {
+impl<'a, const D: usize> Particles<'a, D> {
     /// Number of particles (length of the materials).
     pub fn len(&self) -> usize {
         match self {
@@ -76,12 +72,12 @@ impl<'a> Particles<'a> {
 
     /// Position and velocity of a particle.
     #[inline(always)]
-    pub fn motion(&self, particle: usize) -> ([f32; 2], [f32; 2]) {
+    pub fn motion(&self, particle: usize) -> ([f32; D], [f32; D]) {
         match self {
             Self::Lists { position, velocity, .. } => (position[particle], velocity[particle]),
             Self::Rows(rows) => {
-                let Particle { x, y, vx, vy, .. } = rows[particle];
-                ([x, y], [vx, vy])
+                let Particle { position, velocity, .. } = rows[particle];
+                (position, velocity)
             }
         }
     }
@@ -114,10 +110,10 @@ impl<'a> Particles<'a> {
     }
 }
 
-impl FrameView<'_> {
+impl<const D: usize> FrameView<'_, D> {
     /// Copies the frame. Unknown materials become liquid: a [checked](Self::check) frame has none, but another program may
     /// write to the shared memory again, and all arrays must keep the same length.
-    pub fn to_frame(&self) -> Frame {
+    pub fn to_frame(&self) -> Frame<D> {
         let Self { stream, sequence, stamp, dt, domain, particles } = *self;
         let motions = || (0..particles.len()).map(|particle| particles.motion(particle));
         Frame {
@@ -142,7 +138,7 @@ mod tests {
     #[test]
     fn an_overwritten_material_leaves_all_arrays_at_the_same_length() {
         let rows =
-            [0, 9, 3].map(|material| Particle { x: 0.5, y: 0.5, vx: 0.0, vy: 0.0, material });
+            [0, 9, 3].map(|material| Particle { position: [0.5; 2], velocity: [0.0; 2], material });
         let view = FrameView {
             stream: 1,
             sequence: 2,

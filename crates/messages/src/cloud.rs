@@ -1,49 +1,48 @@
 //! A frame as `sensor_msgs/msg/PointCloud2`, for RViz, Foxglove and Rerun, and properties of its particles as another.
 //!
-//! A point of a frame has 24 bytes: `x y z vx vy` as `float32` in bytes 0 to 19, `material` as `uint8` in byte 20, three bytes of
-//! padding. `z` is 0.
+//! A point of a frame of two dimensions has 24 bytes: `x y z vx vy` as `float32`, `material` as `uint8` in byte 20, three bytes of padding.
+//! `z` is 0. One of three has 28: `vz` follows `vy`.
 
 use super::{Header, PointCloud2, PointField, cdr};
 use eddy_frames::Frame;
 
-/// Length of a point (bytes).
-pub const POINT_STEP: usize = 24;
+/// Coordinates of a point.
+const COORDINATES: [&str; 3] = ["x", "y", "z"];
+/// Components of its velocity, as many as the frame has dimensions.
+const VELOCITIES: [&str; 3] = ["vx", "vy", "vz"];
+
+/// Length of a point of a frame of so many dimensions (bytes): the material is padded.
+pub const fn point_step(dimension: usize) -> usize {
+    size_of::<f32>() * (COORDINATES.len() + dimension + 1)
+}
 
 /// `datatype` of a [`PointField`].
 const UINT8: u8 = 2;
 const FLOAT32: u8 = 7;
 
-/// Name, offset (bytes) and datatype of the fields of a point.
-const FIELDS: [(&str, u32, u8); 6] = [
-    ("x", 0, FLOAT32),
-    ("y", 4, FLOAT32),
-    ("z", 8, FLOAT32),
-    ("vx", 12, FLOAT32),
-    ("vy", 16, FLOAT32),
-    ("material", 20, UINT8),
-];
-
 /// Bytes of the message from the length of the point data on, without points: the length and `is_dense`.
 const TAIL: usize = size_of::<u32>() + size_of::<bool>();
 
 /// Encodes a frame as the CDR bytes of a point cloud. The points are written into the message without an encoder.
-pub fn to_cdr(frame: &Frame) -> Vec<u8> {
+pub fn to_cdr<const D: usize>(frame: &Frame<D>) -> Vec<u8> {
     let without_points = cdr::encode(&PointCloud2 { is_dense: true, ..description(frame) });
     let (head, tail) = without_points.split_at(without_points.len() - TAIL);
-    let length = frame.len() * POINT_STEP;
+    let length = frame.len() * point_step(D);
     let mut bytes = Vec::with_capacity(without_points.len() + length);
     bytes.extend_from_slice(head);
     bytes.extend_from_slice(&(length as u32).to_le_bytes());
     for ((position, velocity), material) in
         frame.position.iter().zip(&frame.velocity).zip(&frame.material)
     {
-        let mut point = [0; POINT_STEP];
-        let numbers = [position[0], position[1], 0.0, velocity[0], velocity[1]];
+        let mut point = [0; point_step(3)];
+        let mut numbers = [0.0; 6];
+        numbers[..3].copy_from_slice(&coordinates(position));
+        numbers[3..3 + D].copy_from_slice(velocity);
         for (place, number) in point.chunks_exact_mut(size_of::<f32>()).zip(numbers) {
             place.copy_from_slice(&number.to_le_bytes());
         }
-        point[20] = *material as u8;
-        bytes.extend_from_slice(&point);
+        point[point_step(D) - size_of::<f32>()] = *material as u8;
+        bytes.extend_from_slice(&point[..point_step(D)]);
     }
     bytes.push(tail[TAIL - 1]);
     bytes
@@ -51,16 +50,19 @@ pub fn to_cdr(frame: &Frame) -> Vec<u8> {
 
 /// Encodes properties of the particles of a frame, by name, as the CDR bytes of a point cloud: `x y z` and the properties
 /// as `float32`. Each has a number per particle.
-pub fn properties_to_cdr(frame: &Frame, properties: &[(&str, &[f32])]) -> Vec<u8> {
-    let names = ["x", "y", "z"].into_iter().chain(properties.iter().map(|(name, _)| *name));
+pub fn properties_to_cdr<const D: usize>(
+    frame: &Frame<D>,
+    properties: &[(&str, &[f32])],
+) -> Vec<u8> {
+    let names = COORDINATES.into_iter().chain(properties.iter().map(|(name, _)| *name));
     let fields = names.zip((0..).step_by(size_of::<f32>()));
     let fields: Vec<PointField> =
         fields.map(|(name, offset)| field(name, offset, FLOAT32)).collect();
     let step = fields.len() * size_of::<f32>();
     let mut data = Vec::with_capacity(frame.len() * step);
-    for (particle, [x, y]) in frame.position.iter().enumerate() {
+    for (particle, position) in frame.position.iter().enumerate() {
         let values = properties.iter().map(|(_, values)| values[particle]);
-        let numbers = [*x, *y, 0.0].into_iter().chain(values);
+        let numbers = coordinates(position).into_iter().chain(values);
         data.extend(numbers.flat_map(f32::to_le_bytes));
     }
     cdr::encode(&PointCloud2 {
@@ -91,20 +93,28 @@ pub fn property(cloud: &PointCloud2, name: &str) -> Option<Vec<f32>> {
     Some(cloud.data.chunks_exact(step).take(points).map(number).collect())
 }
 
+/// The coordinates of a point: those that the frame lacks are 0.
+fn coordinates<const D: usize>(position: &[f32; D]) -> [f32; 3] {
+    std::array::from_fn(|axis| position.get(axis).copied().unwrap_or_default())
+}
+
 fn field(name: &str, offset: u32, datatype: u8) -> PointField {
     PointField { name: name.to_owned(), offset, datatype, count: 1 }
 }
 
 /// The point cloud without its points.
-fn description(frame: &Frame) -> PointCloud2 {
-    let fields = FIELDS.map(|(name, offset, datatype)| field(name, offset, datatype));
+fn description<const D: usize>(frame: &Frame<D>) -> PointCloud2 {
+    let numbers = COORDINATES.iter().chain(&VELOCITIES[..D]).map(|name| (*name, FLOAT32));
+    let names = numbers.chain([("material", UINT8)]).zip((0..).step_by(size_of::<f32>()));
+    let fields: Vec<_> =
+        names.map(|((name, datatype), offset)| field(name, offset, datatype)).collect();
     PointCloud2 {
         header: Header::world(frame.stamp),
         height: 1,
         width: frame.len() as u32,
-        fields: fields.into(),
-        point_step: POINT_STEP as u32,
-        row_step: (frame.len() * POINT_STEP) as u32,
+        fields,
+        point_step: point_step(D) as u32,
+        row_step: (frame.len() * point_step(D)) as u32,
         ..PointCloud2::default()
     }
 }
@@ -125,6 +135,30 @@ mod tests {
             UINT8 => cloud.data[at].into(),
             other => panic!("{name}: found datatype {other}"),
         }
+    }
+
+    #[test]
+    fn a_cloud_of_three_dimensions_has_a_real_z() {
+        let frame = Frame {
+            stream: 1,
+            sequence: 0,
+            stamp: Stamp(0),
+            dt: 0.016,
+            domain: Domain { lower: [0.0; 3], upper: [1.0; 3] },
+            position: vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]],
+            velocity: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+            material: vec![Material::Snow, Material::Rope],
+        };
+        let cloud: PointCloud2 = cdr::decode(&to_cdr(&frame)).unwrap();
+        assert_eq!((cloud.point_step, cloud.data.len()), (28, 56));
+        for point in 0..2 {
+            let found = ["x", "y", "z", "vx", "vy", "vz"].map(|name| read(&cloud, point, name));
+            assert_eq!(found[..3], frame.position[point]);
+            assert_eq!(found[3..], frame.velocity[point]);
+            assert_eq!(read(&cloud, point, "material"), frame.material[point] as u8 as f32);
+        }
+        let other: PointCloud2 = cdr::decode(&properties_to_cdr(&frame, &[])).unwrap();
+        assert_eq!(property(&other, "z"), Some(vec![0.3, 0.6]));
     }
 
     proptest! {

@@ -1,9 +1,10 @@
-//! Converts a [`Frame`] from and to its message: the only place where external data becomes particles.
+//! Converts a [`Frame`] from and to its message: the only place where external data becomes particles. The corners of the domain have as
+//! many coordinates as the frame has dimensions.
 
 use std::path::PathBuf;
 
 use super::{Header, ParticleFrame, cdr, cdr::CdrError};
-use eddy_frames::{Domain, Frame, InvalidFrame, Material};
+use eddy_frames::{AnyFrame, Domain, Frame, InvalidFrame, Material, with_frame};
 
 /// A message that is not a valid frame.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -30,8 +31,8 @@ pub struct UnusableFrame {
     pub reason: BadFrame,
 }
 
-impl From<&Frame> for ParticleFrame {
-    fn from(frame: &Frame) -> Self {
+impl<const D: usize> From<&Frame<D>> for ParticleFrame {
+    fn from(frame: &Frame<D>) -> Self {
         Self {
             position: frame.position.as_flattened().to_vec(),
             velocity: frame.velocity.as_flattened().to_vec(),
@@ -41,7 +42,7 @@ impl From<&Frame> for ParticleFrame {
     }
 }
 
-impl TryFrom<&ParticleFrame> for Frame {
+impl<const D: usize> TryFrom<&ParticleFrame> for Frame<D> {
     type Error = InvalidFrame;
 
     fn try_from(message: &ParticleFrame) -> Result<Self, InvalidFrame> {
@@ -57,6 +58,21 @@ impl TryFrom<&ParticleFrame> for Frame {
     }
 }
 
+impl TryFrom<&ParticleFrame> for AnyFrame {
+    type Error = InvalidFrame;
+
+    fn try_from(message: &ParticleFrame) -> Result<Self, InvalidFrame> {
+        match message.lower.len() {
+            2 => Ok(Self::Two(message.try_into()?)),
+            3 => Ok(Self::Three(message.try_into()?)),
+            found => {
+                let expected = "2 or 3".to_owned();
+                Err(InvalidFrame::Dimension { field: "lower", found, expected })
+            }
+        }
+    }
+}
+
 /// Encodes and decodes a frame as the CDR of a [`ParticleFrame`].
 pub trait FrameCdr: Sized {
     /// The same bytes as from [`cdr::encode`], with the particles copied as a whole rather than number by number.
@@ -69,7 +85,7 @@ pub trait FrameCdr: Sized {
     fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame>;
 }
 
-impl FrameCdr for Frame {
+impl<const D: usize> FrameCdr for Frame<D> {
     fn to_cdr(&self) -> Vec<u8> {
         let mut bytes = cdr::encode(&without_particles(self));
         // The last three fields are empty sequences: only their lengths.
@@ -96,8 +112,19 @@ impl FrameCdr for Frame {
     }
 }
 
+impl FrameCdr for AnyFrame {
+    fn to_cdr(&self) -> Vec<u8> {
+        with_frame!(self, frame => frame.to_cdr())
+    }
+
+    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame> {
+        let message: ParticleFrame = cdr::decode(bytes)?;
+        Ok(Self::try_from(&message)?)
+    }
+}
+
 /// The message of a frame without particles.
-fn without_particles(frame: &Frame) -> ParticleFrame {
+fn without_particles<const D: usize>(frame: &Frame<D>) -> ParticleFrame {
     ParticleFrame {
         header: Header::world(frame.stamp),
         stream: frame.stream,
@@ -109,16 +136,19 @@ fn without_particles(frame: &Frame) -> ParticleFrame {
     }
 }
 
-fn corner(field: &'static str, values: &[f32]) -> Result<[f32; 2], InvalidFrame> {
-    values.try_into().map_err(|_| InvalidFrame::Dimension { field, found: values.len() })
+fn corner<const D: usize>(field: &'static str, values: &[f32]) -> Result<[f32; D], InvalidFrame> {
+    values.try_into().map_err(|_| {
+        let (found, expected) = (values.len(), D.to_string());
+        InvalidFrame::Dimension { field, found, expected }
+    })
 }
 
-fn vectors(
+fn vectors<const D: usize>(
     field: &'static str,
     values: &[f32],
     particles: usize,
-) -> Result<Vec<[f32; 2]>, InvalidFrame> {
-    let (found, expected) = (values.len(), 2 * particles);
+) -> Result<Vec<[f32; D]>, InvalidFrame> {
+    let (found, expected) = (values.len(), D * particles);
     if found != expected {
         return Err(InvalidFrame::Length { field, found, expected, particles });
     }
@@ -158,27 +188,73 @@ mod tests {
 
     #[test]
     fn a_frame_is_converted_to_its_message_and_back() {
-        let frame = Frame::try_from(&message()).unwrap();
+        let frame = <Frame>::try_from(&message()).unwrap();
         assert_eq!(ParticleFrame::from(&frame), message());
         assert_eq!(Frame::from_cdr(&frame.to_cdr()), Ok(frame));
+    }
+
+    #[test]
+    fn corners_say_the_dimension() {
+        let mut message = message();
+        message.upper.push(2.0);
+        let of_upper = AnyFrame::try_from(&message).unwrap_err().to_string();
+        assert_eq!(of_upper, "upper: found 3 dimensions, expected 2");
+        message.lower.push(0.0);
+        message.position.extend([0.5, 0.25]);
+        message.velocity.extend([0.0, -1.0]);
+        let AnyFrame::Three(frame) = AnyFrame::try_from(&message).unwrap() else {
+            panic!("corners of three coordinates")
+        };
+        assert_eq!(frame.position, [[0.25, 0.5, 0.75], [0.5, 0.5, 0.25]]);
+        assert_eq!(ParticleFrame::from(&frame), message);
+        let in_plane = <Frame>::try_from(&message).unwrap_err();
+        assert_eq!(in_plane.to_string(), "lower: found 3 dimensions, expected 2");
+        assert_eq!(<Frame>::try_from(AnyFrame::Three(frame)), Err(in_plane));
+        message.lower.push(0.0);
+        let none = AnyFrame::try_from(&message).unwrap_err().to_string();
+        assert_eq!(none, "lower: found 4 dimensions, expected 2 or 3");
+    }
+
+    /// A frame of some numbers of each particle.
+    fn frame<const D: usize>(
+        (stream, sequence, stamp, dt): (u64, u64, i64, f32),
+        particles: &[([f32; 6], u8)],
+    ) -> Frame<D> {
+        let vectors = |first: usize| -> Vec<[f32; D]> {
+            let vector = |numbers: &[f32; 6]| std::array::from_fn(|axis| numbers[first + axis]);
+            particles.iter().map(|(numbers, _)| vector(numbers)).collect()
+        };
+        Frame {
+            stream,
+            sequence,
+            stamp: Stamp(stamp),
+            dt,
+            domain: Domain { lower: [0.0; D], upper: [1.0; D] },
+            position: vectors(0),
+            velocity: vectors(3),
+            material: particles.iter().map(|p| Material::try_from(p.1).unwrap()).collect(),
+        }
     }
 
     proptest! {
         #[test]
         fn frames_have_the_bytes_of_their_messages(
             stream: u64, sequence: u64, stamp: i64, dt in 1e-6f32..1.0,
-            particles in prop::collection::vec((any::<[i32; 4]>(), 0u8..4), 0..40),
+            particles in prop::collection::vec(
+                (prop::array::uniform6(-1e9f32..1e9), 0u8..4),
+                0..40,
+            ),
         ) {
-            let pairs = |first: usize| -> Vec<_> {
-                let pair = |numbers: [i32; 4]| [numbers[first] as f32, numbers[first + 1] as f32];
-                particles.iter().map(|&(numbers, _)| pair(numbers)).collect()
-            };
-            let frame = Frame {
-                stream, sequence, stamp: Stamp(stamp), dt, domain: Domain::UNIT,
-                position: pairs(0), velocity: pairs(2),
-                material: particles.iter().map(|p| Material::try_from(p.1).unwrap()).collect(),
-            };
-            prop_assert_eq!(frame.to_cdr(), cdr::encode(&ParticleFrame::from(&frame)));
+            let setup = (stream, sequence, stamp, dt);
+            let (plane, space) = (frame::<2>(setup, &particles), frame::<3>(setup, &particles));
+            prop_assert_eq!(plane.to_cdr(), cdr::encode(&ParticleFrame::from(&plane)));
+            prop_assert_eq!(space.to_cdr(), cdr::encode(&ParticleFrame::from(&space)));
+            for frame in [AnyFrame::from(plane), AnyFrame::from(space)] {
+                let checked = with_frame!(&frame, frame => frame.check());
+                let found = AnyFrame::from_cdr(&frame.to_cdr());
+                // A stamp that does not fit into a message is another one there.
+                prop_assert!(checked.is_err() || found == Ok(frame));
+            }
         }
     }
 
@@ -199,7 +275,7 @@ mod tests {
         for (fault, expected) in cases {
             let mut message = message();
             fault(&mut message);
-            assert_eq!(Frame::try_from(&message).unwrap_err().to_string(), expected);
+            assert_eq!(<Frame>::try_from(&message).unwrap_err().to_string(), expected);
         }
     }
 }

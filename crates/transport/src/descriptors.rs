@@ -19,6 +19,8 @@ pub(crate) struct Cost {
     pub(crate) middleware: u64,
     pub(crate) publisher: u64,
     pub(crate) subscriber: u64,
+    /// For each of both on a topic of frames, beside those.
+    pub(crate) of_frames: u64,
 }
 
 /// Ensures that this process may open `needed` more descriptors; raises its limit where the system permits that.

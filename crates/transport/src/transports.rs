@@ -216,8 +216,8 @@ impl Transports {
         Self { shared: Arc::new(Shared { options, patience, open: Default::default() }) }
     }
 
-    /// Ensures that this process may open the files that so many more publishers and subscribers need, and raises its limit
-    /// where the system permits that. Each is checked again when it is opened; this is for a program that opens many, and is to
+    /// Ensures that this process may open the files that further publishers and subscribers of messages of these types need, and raises
+    /// its limit where the system permits that. Each is checked again when it is opened; this is for a program that opens many, and is to
     /// fail before it starts.
     ///
     /// # Errors
@@ -225,22 +225,25 @@ impl Transports {
     pub fn reserve(
         &self,
         transport: TransportKind,
-        publishers: usize,
-        subscribers: usize,
+        published: &[&str],
+        subscribed: &[&str],
     ) -> Result<(), TransportError> {
         let link = Link { transport, topic: "/".to_owned() };
-        self.ensure(&link, publishers, subscribers)
+        self.ensure(&link, published, subscribed)
     }
 
     fn ensure(
         &self,
         link: &Link,
-        publishers: usize,
-        subscribers: usize,
+        published: &[&str],
+        subscribed: &[&str],
     ) -> Result<(), TransportError> {
-        let Cost { middleware, publisher, subscriber } = cost(link.transport);
+        let Cost { middleware, publisher, subscriber, of_frames } = cost(link.transport);
         let is_open = lock(&self.shared.open[link.transport as usize]).is_some();
-        let ports = publishers as u64 * publisher + subscribers as u64 * subscriber;
+        let of = |types: &[&str], port| -> u64 {
+            types.iter().map(|name| port + if is_frames(name) { of_frames } else { 0 }).sum()
+        };
+        let ports = of(published, publisher) + of(subscribed, subscriber);
         let needed = ports + if is_open { 0 } else { middleware };
         if needed == 0 { Ok(()) } else { descriptors::ensure(link, needed) }
     }
@@ -257,7 +260,7 @@ impl Transports {
         options: impl Into<PublisherOptions>,
     ) -> Result<Box<dyn Publisher>, TransportError> {
         let (support, PublisherOptions { reliability, qos }) = (of.support()?, options.into());
-        self.ensure(link, 1, 0)?;
+        self.ensure(link, &[&support.name], &[])?;
         self.middleware(link)?.publisher(link, support, reliability, qos)
     }
 
@@ -285,7 +288,7 @@ impl Transports {
         requested: Option<QosProfile>,
     ) -> Result<Box<dyn Subscriber>, TransportError> {
         let support = of.support()?;
-        self.ensure(link, 0, 1)?;
+        self.ensure(link, &[], &[&support.name])?;
         self.middleware(link)?.subscriber(link, support, requested)
     }
 

@@ -57,6 +57,8 @@ fn values(source: &Source, kind: &str) -> String {
     if let Some((inside, length)) =
         kind.strip_prefix('[').and_then(|kind| kind.strip_suffix(']')?.rsplit_once("; "))
     {
+        // What is written to files has two dimensions.
+        let length = if length == "D" { "2" } else { length };
         return format!("{length} of {}", values(source, inside));
     }
     match kind {

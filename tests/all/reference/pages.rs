@@ -49,9 +49,14 @@ pub fn messages() -> String {
         (
             "FrameHeader",
             "eddy::FrameHeader",
-            "The user header of a frame on shm (iceoryx2), `repr(C)`, 48 bytes.",
+            "The user header of a frame on shm (iceoryx2), `repr(C)`. `D` is the number of dimensions: 2, 48 bytes. \
+             `eddy::FrameHeader3` has 3, 56 bytes with the four that fill it.",
         ),
-        ("Particle", "eddy::Particle", "An element of the payload slice; `repr(C)`, 20 bytes."),
+        (
+            "Particle",
+            "eddy::Particle",
+            "An element of the payload slice; `repr(C)`, 20 bytes; `eddy::Particle3` 28.",
+        ),
     ] {
         text.push_str(&format!("\n## {name}\n\n{what}\n\n| field | type | |\n|---|---|---|\n"));
         for field in &shm.item(item).members {

@@ -129,7 +129,8 @@ fn read(text: &str, items: &mut BTreeMap<String, Item>) {
             let style = above.argument("rename_all").unwrap_or_default().to_owned();
             let item =
                 Item { docs: above.docs(), is_enum, members: members(&mut lines, is_enum, &style) };
-            items.insert(words[at + 1].to_owned(), item);
+            let name = words[at + 1].split('<').next().unwrap_or_default();
+            items.insert(name.to_owned(), item);
         }
         above = Above::default();
     }

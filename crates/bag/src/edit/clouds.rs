@@ -8,7 +8,7 @@ use crate::{
     format::{channel::Channel, summary::BagSummary},
     read::{messages::BagMessage, reader::BagReader},
 };
-use eddy_frames::Frame;
+use eddy_frames::{AnyFrame, with_frame};
 use eddy_messages::{
     FrameCdr, Message, ParticleFrame, PointCloud2, QosProfile, cloud, type_support,
 };
@@ -55,11 +55,11 @@ fn cloud_topic(topic: &str) -> String {
 }
 
 fn cloud_of(message: &BagMessage, channel: &Arc<Channel>) -> Option<BagMessage> {
-    match Frame::from_cdr(&message.data) {
+    match AnyFrame::from_cdr(&message.data) {
         Ok(frame) => Some(BagMessage {
             topic: channel.topic.as_str().into(),
             type_name: PointCloud2::TYPE.into(),
-            data: cloud::to_cdr(&frame),
+            data: with_frame!(frame, frame => cloud::to_cdr(&frame)),
             channel: Arc::clone(channel),
             ..message.clone()
         }),

@@ -2,6 +2,7 @@
 
 use std::{
     collections::BTreeSet,
+    marker::PhantomData,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -252,11 +253,19 @@ impl BagReader {
         Ok(self.select(&Selection { topics, ..Selection::default() }))
     }
 
-    /// The frames of a topic, in the order of their log time.
+    /// The frames of a topic, of two dimensions, in the order of their log time.
     ///
     /// # Errors
     /// As [`BagReader::messages_of`] with the type `eddy_msgs/msg/ParticleFrame`.
     pub fn frames(&self, topic: &str) -> Result<Frames, BagError> {
+        self.frames_of(topic)
+    }
+
+    /// The same of three dimensions, as `Frame<3>`, or of either, as [`AnyFrame`](eddy_frames::AnyFrame).
+    ///
+    /// # Errors
+    /// As [`BagReader::frames`].
+    pub fn frames_of<F: FrameCdr>(&self, topic: &str) -> Result<Frames<F>, BagError> {
         let messages = self.messages_of(topic, ParticleFrame::TYPE)?;
         Ok(self.frames_in(messages, topic))
     }
@@ -278,9 +287,9 @@ impl BagReader {
         Ok(self.frames_in(self.select(&Selection { topics, from, until }), topic))
     }
 
-    fn frames_in(&self, messages: Messages, topic: &str) -> Frames {
-        let path = self.path().into();
-        Frames { messages, path, topic: topic.into(), read: 0, log_time: Stamp::default() }
+    fn frames_in<F>(&self, messages: Messages, topic: &str) -> Frames<F> {
+        let (path, log_time) = (self.path().into(), Stamp::default());
+        Frames { messages, path, topic: topic.into(), read: 0, log_time, frame: PhantomData }
     }
 
     /// The topics with their types, for error messages.
@@ -298,26 +307,27 @@ fn saturated(time: u64) -> Stamp {
     Stamp(i64::try_from(time).unwrap_or(i64::MAX))
 }
 
-/// The frames of a topic. A message that is not a valid frame is a [`BagError::Frame`], followed by the other
-/// frames. Damage of the bag comes last.
+/// The frames of a topic. A message that is not a valid frame, or one of another dimension, is a [`BagError::Frame`], followed by the
+/// other frames. Damage of the bag comes last.
 #[derive(Debug)]
-pub struct Frames {
+pub struct Frames<F = Frame> {
     messages: Messages,
     path: PathBuf,
     topic: String,
     read: u64,
     log_time: Stamp,
+    frame: PhantomData<F>,
 }
 
-impl Frames {
+impl<F> Frames<F> {
     /// Log time of the last frame; zero before the first.
     pub fn log_time(&self) -> Stamp {
         self.log_time
     }
 }
 
-impl Iterator for Frames {
-    type Item = Result<Frame, BagError>;
+impl<F: FrameCdr> Iterator for Frames<F> {
+    type Item = Result<F, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let data = match self.messages.next()? {
@@ -329,7 +339,7 @@ impl Iterator for Frames {
         };
         let message = self.read;
         self.read += 1;
-        Some(Frame::from_cdr(&data).map_err(|reason| BagError::Frame {
+        Some(F::from_cdr(&data).map_err(|reason| BagError::Frame {
             path: self.path.clone(),
             topic: self.topic.clone(),
             message,

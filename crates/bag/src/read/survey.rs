@@ -20,7 +20,7 @@ use crate::{
     error::{BagError, in_stream},
     format::channel::{Channel, ROS2MSG},
 };
-use eddy_frames::{Domain, Frame, Stamp, decimal};
+use eddy_frames::{AnyDomain, AnyFrame, Frame, Stamp, decimal, with_frame};
 use eddy_messages::{
     BadFrame, FrameCdr, Message, ParticleFrame, TypeSupport, cdr, dynamic, type_support,
 };
@@ -87,7 +87,7 @@ pub struct StreamSurvey {
     /// Time between two frames (s), from the first frame.
     pub dt: f32,
     /// Domain of the first frame.
-    pub domain: Domain,
+    pub domain: AnyDomain,
     /// How often the stream restarted, as in the recording of a loop.
     pub restarts: u64,
     /// Highest sequence so far, and its stamp.
@@ -212,8 +212,8 @@ impl Survey {
         times.1 = message.log_time;
         let data = &message.data;
         let decoded = match (&*message.type_name, &decoders[channel]) {
-            (ParticleFrame::TYPE, _) => match Frame::from_cdr(data) {
-                Ok(frame) => {
+            (ParticleFrame::TYPE, _) => match AnyFrame::from_cdr(data) {
+                Ok(frame) => with_frame!(frame, frame => {
                     self.check_frame(index, message, &frame);
                     // Predictions may diverge.
                     let checked = if is_prediction(&message.topic) {
@@ -222,7 +222,7 @@ impl Survey {
                         frame.check_plausible()
                     };
                     checked.map_err(BadFrame::from)
-                }
+                }),
                 Err(error) => Err(error),
             }
             .map_err(|reason| format!("{}: {reason}", in_stream(cdr::place_of_frame(data)))),
@@ -238,7 +238,12 @@ impl Survey {
         }
     }
 
-    fn check_frame(&mut self, topic: usize, message: &BagMessage, frame: &Frame) {
+    fn check_frame<const D: usize>(
+        &mut self,
+        topic: usize,
+        message: &BagMessage,
+        frame: &Frame<D>,
+    ) {
         let streams = &mut self.topics[topic].streams;
         let Some(stream) = streams.get_mut(&frame.stream) else {
             streams.insert(frame.stream, StreamSurvey::new(frame));
@@ -291,19 +296,23 @@ fn without_numbers(description: &str) -> String {
 }
 
 impl StreamSurvey {
-    fn new(frame: &Frame) -> Self {
+    fn new<const D: usize>(frame: &Frame<D>) -> Self {
         Self {
             frames: 1,
             particles: (frame.len(), frame.len()),
             dt: frame.dt,
-            domain: frame.domain,
+            domain: frame.domain.into(),
             restarts: 0,
             highest: (frame.sequence, frame.stamp),
         }
     }
 
     /// Adds the next frame; returns what contradicts the frames before it. A stream that restarts contradicts nothing.
-    fn follow(&mut self, frame: &Frame, may_repeat: bool) -> [Option<String>; 3] {
+    fn follow<const D: usize>(
+        &mut self,
+        frame: &Frame<D>,
+        may_repeat: bool,
+    ) -> [Option<String>; 3] {
         let (fewest, most) = self.particles;
         self.frames += 1;
         self.particles = (fewest.min(frame.len()), most.max(frame.len()));
@@ -331,7 +340,7 @@ impl StreamSurvey {
         let (found, expected) = (decimal(frame.dt), decimal(self.dt));
         let interval = (frame.dt != self.dt)
             .then(|| format!("sequence {sequence}: found dt {found} s, expected {expected} s"));
-        let (found, expected) = (frame.domain, self.domain);
+        let (found, expected) = (AnyDomain::from(frame.domain), self.domain);
         let domain = (found != expected)
             .then(|| format!("sequence {sequence}: found domain {found}, expected {expected}"));
         [order, interval, domain]

@@ -6,9 +6,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use eddy_bag::{BagError, BagReader, BagWriter, Compression, Selection, Survey, WriterOptions};
+use eddy_bag::{
+    BagError, BagReader, BagWriter, Compression, CopyOptions, Selection, Survey, WriterOptions,
+};
 use eddy_frames::{Domain, Frame, Material, Stamp};
-use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, cdr};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, RosString, cdr, cloud};
 use mcap::records::MessageHeader;
 use proptest::prelude::*;
 
@@ -102,6 +104,47 @@ proptest! {
             survey.check_files(&bag);
         }
     }
+}
+
+#[test]
+fn frames_of_three_dimensions_come_back_and_are_refused_where_two_are_expected() {
+    let directory = tempfile::tempdir().unwrap();
+    let [path, mixed, clouds] = ["bag", "mixed", "clouds"].map(|name| directory.path().join(name));
+    let deep = |sequence: u64| {
+        let Frame { stream, stamp, dt, position, velocity, material, .. } = frame(sequence);
+        let domain = Domain { lower: [0.0; 3], upper: [1.0; 3] };
+        let position = position.iter().map(|[x, y]| [*x, *y, 0.25]).collect();
+        let velocity = velocity.iter().map(|[x, y]| [*x, *y, 0.5]).collect();
+        Frame::<3> { stream, sequence, stamp, dt, domain, position, velocity, material }
+    };
+    let write = |path: &Path, messages: &[Vec<u8>]| {
+        let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
+        let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
+        for (message, number) in messages.iter().zip(0..) {
+            bag.write(topic, Stamp(number), Stamp(number), message).unwrap();
+        }
+        bag.finish().unwrap();
+        BagReader::open(path).unwrap()
+    };
+    let bag = write(&path, &[0, 1, 2].map(|sequence| deep(sequence).to_cdr()));
+    assert_eq!(findings(&path), [] as [&str; 0]);
+    let found = bag.frames_of::<Frame<3>>("/particles").unwrap().map(Result::unwrap);
+    assert_eq!(found.collect::<Vec<_>>(), [0, 1, 2].map(deep));
+    let refused = bag.frames("/particles").unwrap().next().unwrap().unwrap_err().to_string();
+    assert!(refused.ends_with("lower: found 3 dimensions, expected 2"), "{refused}");
+    let (writer, on_message) = (WriterOptions::default(), &mut || true);
+    let custom_data = bag.custom_data().clone();
+    let options = CopyOptions { writer, custom_data, on_message };
+    eddy_bag::clouds(&bag, &clouds, options).unwrap();
+    let clouds = BagReader::open(&clouds).unwrap();
+    let clouds = clouds.messages_of("/particles/cloud", PointCloud2::TYPE).unwrap();
+    for (cloud, sequence) in clouds.zip(0..) {
+        assert_eq!(cloud.unwrap().data, cloud::to_cdr(&deep(sequence)));
+    }
+
+    write(&mixed, &[frame(0).to_cdr(), deep(1).to_cdr()]);
+    let said = "found domain 0 to 1 x 0 to 1 x 0 to 1, expected 0 to 1 x 0 to 1";
+    assert!(findings(&mixed)[0].ends_with(said), "{:?}", findings(&mixed));
 }
 
 #[test]

@@ -59,8 +59,9 @@ impl TopicOutputs {
     ) -> Result<Self, TransportError> {
         // A transport that does not work is one error, not one for each topic.
         transports.services(options.transport)?;
-        let count = plan.topics.len() + usize::from(plan.clock.is_some());
-        transports.reserve(options.transport, count, 0)?;
+        let types = plan.topics.iter().map(|topic| topic.support.name.as_str());
+        let types: Vec<_> = types.chain(plan.clock.as_ref().map(|_| Clock::TYPE)).collect();
+        transports.reserve(options.transport, &types, &[])?;
         let (mut topics, mut by_channel) = (Vec::new(), HashMap::new());
         for planned in std::mem::take(&mut plan.topics) {
             let PlannedTopic { name, link, support, offered, .. } = &planned;

@@ -317,6 +317,23 @@ fn duplicates_and_late_frames_are_dropped_and_change_nothing() {
 }
 
 #[test]
+fn frames_of_three_dimensions_are_refused_and_change_nothing() {
+    let mut plain = node(NodeSettings::default());
+    let expected = feed_all(&mut plain, (0..6).map(|s| frame(1, s)));
+    let mut node = node(NodeSettings::default());
+    let mut found = feed_all(&mut node, (0..3).map(|s| frame(1, s)));
+    let Frame { stream, sequence, stamp, dt, material, .. } = frame(1, 3);
+    let (position, velocity) = (vec![[0.5; 3]; material.len()], vec![[0.0; 3]; material.len()]);
+    let domain = Domain { lower: [0.0; 3], upper: [1.0; 3] };
+    let deep = Frame { stream, sequence, stamp, dt, domain, position, velocity, material };
+    let refused = observe(&mut node, vec![Payload::Cdr(deep.to_cdr())]).unwrap_err();
+    assert_eq!(refused.to_string(), "lower: found 3 dimensions, expected 2");
+    assert_eq!(node.counters().malformed, 1);
+    found.extend(feed_all(&mut node, (3..6).map(|s| frame(1, s))));
+    assert_eq!(found, expected);
+}
+
+#[test]
 fn a_looped_bag_resets_the_stream() {
     let mut node = node(NodeSettings::default());
     feed_all(&mut node, (0..30).map(|s| frame(1, s)));

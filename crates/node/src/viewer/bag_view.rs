@@ -21,6 +21,8 @@ pub struct BagView {
     truth: Option<Arc<str>>,
     /// By status topic: its statuses with the predictions beside it.
     joiners: BTreeMap<String, StatusJoiner>,
+    /// Whether a message that is not shown was logged.
+    has_warned: bool,
 }
 
 impl BagView {
@@ -45,7 +47,7 @@ impl BagView {
         let truth = frames.find(|name| !name.ends_with(PREDICTION)).map(Into::into);
         let joiner = |name: &String| (name.clone(), StatusJoiner::default());
         let joiners = of_type(PredictionStatus::TYPE).map(|topic| joiner(&topic.name)).collect();
-        Ok(Self { page, player, truth, joiners })
+        Ok(Self { page, player, truth, joiners, has_warned: false })
     }
 
     /// The page.
@@ -61,7 +63,16 @@ impl BagView {
         }
         let (topic, kind) = (&*message.topic, &*message.type_name);
         if kind == ParticleFrame::TYPE {
-            let Ok(frame) = Frame::from_cdr(&message.data) else { return };
+            let frame = match Frame::from_cdr(&message.data) {
+                Ok(frame) => frame,
+                Err(reason) => {
+                    if !std::mem::replace(&mut self.has_warned, true) {
+                        let number = message.sequence;
+                        tracing::warn!("topic {topic}: message {number} is not shown: {reason}");
+                    }
+                    return;
+                }
+            };
             if topic.ends_with(PREDICTION) {
                 match self.joiners.get_mut(&format!("{topic}/status")) {
                     Some(joiner) => {

@@ -1,4 +1,5 @@
-//! Names of the services of a topic: `eddy<topic>`, in a ROS domain other than 0 `eddy<domain>:<topic>`.
+//! Names of the services of a topic: `eddy<topic>`, in a ROS domain other than 0 `eddy<domain>:<topic>`. Frames of three dimensions have one
+//! of their own, `eddy<topic>:3`: a service has one type, and whoever reads a topic need not know which frames will come.
 
 use iceoryx2::prelude::ServiceName;
 
@@ -6,9 +7,20 @@ use crate::{Link, TransportError, TransportKind};
 
 const PREFIX: &str = "eddy";
 
+/// What the name of the service for frames of three dimensions ends in; topics have no colon.
+const SPACE: &str = ":3";
+
 /// The service of a topic.
 pub(super) fn service(domain_id: u16, link: &Link) -> Result<ServiceName, TransportError> {
-    let name = format!("{}{}", prefix(domain_id), link.topic);
+    named(link, format!("{}{}", prefix(domain_id), link.topic))
+}
+
+/// The service of its frames of three dimensions.
+pub(super) fn service_in_space(domain_id: u16, link: &Link) -> Result<ServiceName, TransportError> {
+    named(link, format!("{}{}{SPACE}", prefix(domain_id), link.topic))
+}
+
+fn named(link: &Link, name: String) -> Result<ServiceName, TransportError> {
     ServiceName::new(&name).map_err(|_| TransportError::LongName {
         link: link.clone(),
         found: name.len(),
@@ -16,9 +28,10 @@ pub(super) fn service(domain_id: u16, link: &Link) -> Result<ServiceName, Transp
     })
 }
 
-/// The topic of a service; `None` if it is not one of this domain.
-pub(super) fn topic(domain_id: u16, service: &str) -> Option<Link> {
+/// The topic of a service, which has frames of three dimensions or other messages; `None` if it is not one of this domain.
+pub(super) fn topic(domain_id: u16, service: &str, in_space: bool) -> Option<Link> {
     let topic = service.strip_prefix(&prefix(domain_id)).filter(|name| name.starts_with('/'))?;
+    let topic = if in_space { topic.strip_suffix(SPACE)? } else { topic };
     format!("{}:{topic}", TransportKind::Shm).parse().ok()
 }
 
@@ -44,11 +57,15 @@ mod tests {
             let name = service(domain, &link).unwrap();
             assert_eq!(name.as_str(), expected);
             for other in [0, 7, 23, 232] {
-                let found = topic(other, &name);
+                let found = topic(other, &name, false);
                 assert_eq!(found, (other == domain).then(|| link.clone()), "{name} in {other}");
             }
+            let space = service_in_space(domain, &link).unwrap();
+            assert_eq!(space.as_str(), format!("{expected}:3"));
+            assert_eq!(topic(domain, &space, true), Some(link.clone()));
+            assert_eq!(topic(domain, &space, false), None, "topics have no colon");
         }
-        assert_eq!(topic(0, "eddy_other/a"), None);
+        assert_eq!(topic(0, "eddy_other/a", false), None);
     }
 
     #[test]

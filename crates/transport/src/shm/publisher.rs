@@ -1,6 +1,6 @@
 //! Writes messages into loaned memory, sends them and wakes the subscribers.
 
-use std::{collections::BTreeSet, fmt::Debug, mem::MaybeUninit, thread, time::Duration};
+use std::{collections::BTreeSet, fmt::Debug, mem::MaybeUninit, sync::Arc, thread, time::Duration};
 
 use iceoryx2::{
     port::{LoanError, SendError, notifier::Notifier, publisher},
@@ -10,12 +10,13 @@ use iceoryx2::{
 };
 
 use super::{
+    ShmNode,
     backpressure::GivenUp,
     layout::{self, FrameHeader, SharedParticle},
     service::{BORROWED, Cleaner, DEPTH, Events, Ipc, Topic, middleware},
 };
 use crate::{Link, Publisher, Reliability, TransportError, patience::Patience, transports};
-use eddy_frames::{Frame, clock::Clock};
+use eddy_frames::{AnyFrame, Frame, clock::Clock};
 use eddy_messages::FrameCdr;
 
 /// Initial capacity of a message (elements); grows with longer messages.
@@ -31,6 +32,8 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 /// How long a message is there at the end of a program: longer than subscribers take to poll, also on a busy machine. One that has not
 /// polled since a publisher came gets nothing once the publisher is gone.
 const LINGER: Duration = Duration::from_millis(250);
+/// How long the first frame of three dimensions waits: twice as long as subscribers take to poll.
+const CONNECTING: Duration = Duration::from_millis(200);
 
 /// Memory of a message to be written.
 pub(super) type Loan<P, H> = SampleMutUninit<Ipc, [MaybeUninit<P>], H>;
@@ -278,31 +281,81 @@ where
     builder.create().map_err(|error| middleware(link, "open the publisher", &error))
 }
 
-/// Publishes a topic of frames.
+/// Publishes a topic of frames: those of two dimensions from the start, those of three once there is one.
 pub(super) struct FramePublisher {
-    pub(super) writer: Writer<SharedParticle, FrameHeader>,
+    pub(super) node: Arc<ShmNode>,
+    pub(super) reliability: Reliability,
+    pub(super) plane: Writer<SharedParticle, FrameHeader>,
+    pub(super) space: Option<Writer<SharedParticle<3>, FrameHeader<3>>>,
+}
+
+impl FramePublisher {
+    fn publish_in_space(&mut self, frame: &Frame<3>) -> Result<(), TransportError> {
+        if self.space.is_none() {
+            let (link, services) = (&self.plane.link, &self.node.services);
+            let (topic, events) = (services.space(link)?, services.events(link)?);
+            let (cleaner, patience) = (services.cleaner(), self.plane.patience.clone());
+            let mut writer =
+                Writer::open(link, topic, &events, cleaner, self.reliability, patience)?;
+            writer.reserve(frame.len())?;
+            if self.reliability == Reliability::Block && writer.subscribers() > 0 {
+                // Until they have polled, and are connected: the first frame is sent at once.
+                writer.wake();
+                thread::sleep(writer.patience.left(Duration::ZERO).min(CONNECTING));
+            }
+            let (readers, all) = (writer.subscribers(), self.plane.subscribers());
+            if readers < all {
+                tracing::warn!(
+                    %link, readers, subscribers = all,
+                    "a subscriber reads frames of two dimensions only, and misses these of three"
+                );
+            }
+            self.space = Some(writer);
+        }
+        match &mut self.space {
+            Some(writer) => send(writer, frame),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Sends a frame.
+fn send<const D: usize>(
+    writer: &mut Writer<SharedParticle<D>, FrameHeader<D>>,
+    frame: &Frame<D>,
+) -> Result<(), TransportError>
+where
+    SharedParticle<D>: ZeroCopySend,
+    FrameHeader<D>: ZeroCopySend,
+{
+    writer.send(frame.len(), frame.into(), |loan| {
+        loan.write_from_fn(|index| layout::particle(frame, index))
+    })
 }
 
 impl Publisher for FramePublisher {
     fn publish_frame(&mut self, frame: &Frame) -> Result<(), TransportError> {
-        self.writer.send(frame.len(), frame.into(), |loan| {
-            loan.write_from_fn(|index| layout::particle(frame, index))
-        })
+        send(&mut self.plane, frame)
     }
 
     fn publish_cdr(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        let frame = Frame::from_cdr(bytes)
-            .map_err(|reason| TransportError::Frame { link: self.writer.link.clone(), reason })?;
-        self.publish_frame(&frame)
+        let link = || self.plane.link.clone();
+        let frame = AnyFrame::from_cdr(bytes);
+        match frame.map_err(|reason| TransportError::Frame { link: link(), reason })? {
+            AnyFrame::Two(frame) => self.publish_frame(&frame),
+            AnyFrame::Three(frame) => self.publish_in_space(&frame),
+        }
     }
 
     fn flush(&mut self) -> Result<(), TransportError> {
-        self.writer.flush();
+        self.plane.flush();
+        self.space.iter().for_each(Writer::flush);
         Ok(())
     }
 
+    /// A subscriber of eddy reads both.
     fn subscribers(&self) -> usize {
-        self.writer.subscribers()
+        self.plane.subscribers()
     }
 }
 

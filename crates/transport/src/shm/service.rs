@@ -25,7 +25,10 @@ use iceoryx2::{
 };
 
 pub(super) use super::failure::error as middleware;
-use super::{layout::SharedParticle, names};
+use super::{
+    layout::{FrameHeader, SharedParticle},
+    names,
+};
 use crate::{Link, SeenTopic, TransportError, TransportOptions, lock};
 use eddy_messages::{Message, ParticleFrame, topic_type};
 
@@ -33,12 +36,14 @@ use eddy_messages::{Message, ParticleFrame, topic_type};
 pub(super) type Ipc = ipc_threadsafe::Service;
 /// Opens the ports of a topic.
 pub(super) type Topic<P, H> = publish_subscribe::PortFactory<Ipc, [P], H>;
+/// The same for frames of three dimensions.
+pub(super) type Topic3 = Topic<SharedParticle<3>, FrameHeader<3>>;
 /// Opens the ports of a topic's events.
 pub(super) type Events = event::PortFactory<Ipc>;
 
 /// Buffer length of a subscriber (messages). A publisher reserves and zeroes memory for the buffers and borrowed samples
-/// of all possible subscribers: 16 MB for frames of 2,560 particles, 0.8 MB for short messages, so that several topics
-/// fit into the usual 64 MB of a container.
+/// of all possible subscribers: 16 MB for frames of 2,560 particles (once it publishes frames of three dimensions, 23 MB for those), 0.8 MB
+/// for short messages, so that some topics fit into the usual 64 MB of a container.
 pub(super) const DEPTH: usize = 32;
 /// Samples that a subscriber may borrow.
 pub(super) const BORROWED: usize = 8;
@@ -101,18 +106,35 @@ impl Services {
         P: Debug + ZeroCopySend,
         H: Debug + ZeroCopySend,
     {
-        let name = names::service(self.domain_id, link)?;
+        self.named(link, &names::service(self.domain_id, link)?, type_name)
+    }
+
+    /// The one that carries its frames of three dimensions.
+    pub(super) fn space(&self, link: &Link) -> Result<Topic3, TransportError> {
+        self.named(link, &names::service_in_space(self.domain_id, link)?, ParticleFrame::TYPE)
+    }
+
+    fn named<P, H>(
+        &self,
+        link: &Link,
+        name: &ServiceName,
+        type_name: &str,
+    ) -> Result<Topic<P, H>, TransportError>
+    where
+        P: Debug + ZeroCopySend,
+        H: Debug + ZeroCopySend,
+    {
         let node = lock(&self.node);
-        let builder = || node.service_builder(&name).publish_subscribe::<[P]>().user_header::<H>();
+        let builder = || node.service_builder(name).publish_subscribe::<[P]>().user_header::<H>();
         let mut last = String::new();
         for attempt in 0..ATTEMPTS {
             if attempt == PATIENT_ATTEMPTS {
-                remove_abandoned(link, &name, node.config(), MessagingPattern::PublishSubscribe);
+                remove_abandoned(link, name, node.config(), MessagingPattern::PublishSubscribe);
             }
             match builder().open() {
                 Ok(topic) => return check_type(link, type_name, topic),
                 Err(PublishSubscribeOpenError::IncompatibleTypes) => {
-                    return Err(foreign_type::<P, H>(link, &name, node.config()));
+                    return Err(foreign_type::<P, H>(link, name, node.config()));
                 }
                 Err(error) if is_transient(error) => {}
                 Err(error) => return Err(middleware(link, "open the service", &error)),
@@ -145,9 +167,11 @@ impl Services {
     /// The topics that have a service. A missing type is inferred from the memory layout and the name.
     pub(super) fn topics(&self, link: &Link) -> Result<Vec<SeenTopic>, TransportError> {
         let node = lock(&self.node);
-        let mut topics = Vec::new();
+        let mut topics: Vec<SeenTopic> = Vec::new();
         Ipc::list(node.config(), |service| {
-            topics.extend(discovered(self.domain_id, &service.static_details));
+            let seen = discovered(self.domain_id, &service.static_details);
+            // A topic of frames has two services.
+            topics.extend(seen.filter(|seen| !topics.contains(seen)));
             CallbackProgression::Continue
         })
         .map_err(|error| middleware(link, "list the services", &format!("{error:?}")))?;
@@ -218,13 +242,15 @@ fn discovered(domain_id: u16, service: &StaticConfig) -> Option<SeenTopic> {
     else {
         return None;
     };
-    let link = names::topic(domain_id, service.name())?;
+    let payload = details.message_type_details().payload.type_name();
+    let is_of = |particle: TypeDetail| particle.type_name() == payload;
+    let in_space = is_of(TypeDetail::new::<SharedParticle<3>>(TypeVariant::Dynamic));
+    let of_frames = in_space || is_of(TypeDetail::new::<SharedParticle>(TypeVariant::Dynamic));
+    let link = names::topic(domain_id, service.name(), in_space)?;
     let declared = TYPE_ATTRIBUTE
         .try_into()
         .ok()
         .and_then(|key| service.attributes().key_value(&key, 0).map(ToString::to_string));
-    let of_frames = details.message_type_details().payload.type_name()
-        == TypeDetail::new::<SharedParticle>(TypeVariant::Dynamic).type_name();
     let type_name = declared.or_else(|| {
         let guess = if of_frames { ParticleFrame::TYPE } else { topic_type(&link.topic) };
         (of_frames || guess != ParticleFrame::TYPE).then(|| guess.to_owned())

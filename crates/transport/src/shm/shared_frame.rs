@@ -8,7 +8,7 @@ use std::{
     },
 };
 
-use iceoryx2::sample::Sample;
+use iceoryx2::{prelude::ZeroCopySend, sample::Sample};
 
 use super::{
     layout::{self, FrameHeader, SharedParticle},
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::Payload;
 use eddy_frames::{Frame, FrameView, InvalidFrame};
-use eddy_messages::cdr;
+use eddy_messages::{FrameCdr as _, cdr};
 
 /// A frame in the memory of its publisher, which is returned when this is dropped.
 ///
@@ -87,7 +87,8 @@ impl fmt::Debug for SharedFrame {
     }
 }
 
-type FrameSample = Sample<Ipc, [SharedParticle], FrameHeader>;
+/// A frame as it is received.
+pub(super) type FrameSample<const D: usize = 2> = Sample<Ipc, [SharedParticle<D>], FrameHeader<D>>;
 
 /// A copy: a frame, or bytes if it is not a valid frame.
 pub(super) fn copy(sample: &FrameSample) -> Payload {
@@ -98,8 +99,17 @@ fn to_frame(sample: &FrameSample) -> Result<Frame, InvalidFrame> {
     layout::frame(sample.user_header(), layout::particles(sample.payload()))
 }
 
-fn to_cdr(sample: &FrameSample) -> Vec<u8> {
-    cdr::encode(&layout::message(sample.user_header(), layout::particles(sample.payload())))
+/// The message, also if it is not a valid frame.
+pub(super) fn to_cdr<const D: usize>(sample: &FrameSample<D>) -> Vec<u8>
+where
+    SharedParticle<D>: ZeroCopySend,
+    FrameHeader<D>: ZeroCopySend,
+{
+    let (header, particles) = (sample.user_header(), layout::particles(sample.payload()));
+    match layout::frame(header, particles) {
+        Ok(frame) => frame.to_cdr(),
+        Err(_) => cdr::encode(&layout::message(header, particles)),
+    }
 }
 
 /// Counts the samples that a subscriber has lent out.

@@ -4,11 +4,11 @@ use std::{fmt::Debug, time::Duration};
 
 use iceoryx2::{
     port::{
+        ReceiveError,
         listener::{Listener, ListenerWaitError},
         subscriber,
     },
     prelude::*,
-    sample::Sample,
 };
 
 use super::{
@@ -24,26 +24,29 @@ const POLL: Duration = Duration::from_millis(100);
 /// extend it forever.
 const EMPTY_WAKE: Duration = Duration::from_millis(1);
 
-/// Receives the messages of a topic.
-pub(super) struct Reader<P, H>
-where
-    P: Debug + ZeroCopySend + 'static,
-    H: Debug + ZeroCopySend + 'static,
-{
-    link: Link,
-    subscriber: subscriber::Subscriber<Ipc, [P], H>,
-    listener: Listener<Ipc>,
-    _cleaner: Cleaner,
-}
+/// The port that receives the messages of a service.
+pub(super) type Port<P, H> = subscriber::Subscriber<Ipc, [P], H>;
 
-impl<P, H> Reader<P, H>
+/// Opens it.
+pub(super) fn port<P, H>(link: &Link, topic: &Topic<P, H>) -> Result<Port<P, H>, TransportError>
 where
     P: Debug + ZeroCopySend,
     H: Debug + ZeroCopySend,
 {
+    let port = topic.subscriber_builder().create();
+    port.map_err(|error| middleware(link, "open the subscriber", &error))
+}
+
+/// Waits until a topic has a message.
+pub(super) struct Wakes {
+    link: Link,
+    listener: Listener<Ipc>,
+    _cleaner: Cleaner,
+}
+
+impl Wakes {
     pub(super) fn open(
         link: &Link,
-        topic: &Topic<P, H>,
         events: &Events,
         cleaner: Cleaner,
     ) -> Result<Self, TransportError> {
@@ -51,20 +54,21 @@ where
             .listener_builder()
             .create()
             .map_err(|error| middleware(link, "open the listener", &error))?;
-        let subscriber = topic
-            .subscriber_builder()
-            .create()
-            .map_err(|error| middleware(link, "open the subscriber", &error))?;
-        Ok(Self { link: link.clone(), subscriber, listener, _cleaner: cleaner })
+        Ok(Self { link: link.clone(), listener, _cleaner: cleaner })
     }
 
-    fn receive(&self, timeout: Duration) -> Result<Option<Sample<Ipc, [P], H>>, TransportError> {
+    /// The first message that `poll` finds.
+    fn receive<T>(
+        &self,
+        timeout: Duration,
+        mut poll: impl FnMut() -> Result<Option<T>, ReceiveError>,
+    ) -> Result<Option<T>, TransportError> {
         let mut left = timeout;
         loop {
             // Before polling, so that any later wake-up means a new message.
             self.wait(Duration::ZERO)?;
-            match self.subscriber.receive() {
-                Ok(Some(sample)) => return Ok(Some(sample)),
+            match poll() {
+                Ok(Some(message)) => return Ok(Some(message)),
                 Ok(None) => {}
                 // A publisher was killed while it connected; the others are not affected.
                 Err(error) => {
@@ -98,27 +102,59 @@ where
 
 /// Subscribes to a topic of frames.
 pub(super) struct FrameSubscriber {
-    reader: Reader<SharedParticle, FrameHeader>,
+    wakes: Wakes,
+    plane: Port<SharedParticle, FrameHeader>,
+    space: Port<SharedParticle<3>, FrameHeader<3>>,
+    /// Whether the next message is first looked for among frames of three dimensions: neither kind waits for the other.
+    space_first: bool,
     loans: LoanCounter,
     /// Samples that may be lent out at the same time; one more is received and returned at once.
     lendable: usize,
 }
 
 impl FrameSubscriber {
-    pub(super) fn new(reader: Reader<SharedParticle, FrameHeader>, borrowable: usize) -> Self {
-        Self { reader, loans: LoanCounter::default(), lendable: borrowable.saturating_sub(1) }
+    pub(super) fn new(
+        wakes: Wakes,
+        plane: Port<SharedParticle, FrameHeader>,
+        space: Port<SharedParticle<3>, FrameHeader<3>>,
+        borrowable: usize,
+    ) -> Self {
+        let lendable = borrowable.saturating_sub(1);
+        let loans = LoanCounter::default();
+        Self { wakes, plane, space, space_first: false, loans, lendable }
+    }
+
+    /// Lends the frame in place, or copies it while the largest number of samples is lent out, so that the publisher gets
+    /// its memory back.
+    fn in_plane(&self) -> Result<Option<Payload>, ReceiveError> {
+        let sample = self.plane.receive()?;
+        Ok(sample.map(|sample| match self.loans.lend(self.lendable) {
+            Some(loan) => Payload::Shared(SharedFrame::new(sample, loan)),
+            None => shared_frame::copy(&sample),
+        }))
+    }
+
+    /// Nothing computes with frames of three dimensions yet: they are delivered as bytes.
+    fn in_space(&self) -> Result<Option<Payload>, ReceiveError> {
+        let sample = self.space.receive()?;
+        Ok(sample.map(|sample| Payload::Cdr(shared_frame::to_cdr(&sample))))
     }
 }
 
 impl Subscriber for FrameSubscriber {
-    /// Lends the frame in place, or copies it while the largest number of samples is lent out, so that the publisher gets
-    /// its memory back.
+    /// Frames of one dimension are in the order in which they were sent.
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let Some(sample) = self.reader.receive(timeout)? else { return Ok(None) };
-        Ok(Some(match self.loans.lend(self.lendable) {
-            Some(loan) => Payload::Shared(SharedFrame::new(sample, loan)),
-            None => shared_frame::copy(&sample),
-        }))
+        let space_first = self.space_first;
+        let received = self.wakes.receive(timeout, || {
+            let first = if space_first { self.in_space() } else { self.in_plane() };
+            match first? {
+                None if space_first => self.in_plane(),
+                None => self.in_space(),
+                received => Ok(received),
+            }
+        });
+        self.space_first = !space_first;
+        received
     }
 
     /// 0: all messages are delivered, also those that are not valid frames.
@@ -129,12 +165,13 @@ impl Subscriber for FrameSubscriber {
 
 /// Subscribes to a topic of any other type.
 pub(super) struct BytesSubscriber {
-    pub(super) reader: Reader<u8, ()>,
+    pub(super) wakes: Wakes,
+    pub(super) subscriber: Port<u8, ()>,
 }
 
 impl Subscriber for BytesSubscriber {
     fn receive(&mut self, timeout: Duration) -> Result<Option<Payload>, TransportError> {
-        let sample = self.reader.receive(timeout)?;
+        let sample = self.wakes.receive(timeout, || self.subscriber.receive())?;
         Ok(sample.map(|sample| Payload::Cdr(sample.payload().to_vec())))
     }
 

@@ -57,7 +57,7 @@ use service::ZenohService;
 use subscriber::ZenohSubscriber;
 
 /// Measured, without connections to others.
-pub(super) const COST: Cost = Cost { middleware: 16, publisher: 0, subscriber: 0 };
+pub(super) const COST: Cost = Cost { middleware: 16, publisher: 0, subscriber: 0, of_frames: 0 };
 
 /// This process in the ROS graph.
 pub(super) struct ZenohNode {

@@ -10,10 +10,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy_messages::{Message, RosString};
+use eddy_frames::{AnyFrame, with_frame};
+use eddy_messages::{FrameCdr as _, Message, RosString};
 use eddy_transport::{Link, Reliability, TransportOptions, Transports};
 
-use super::{DEADLINE, frame, frames_publisher, frames_subscriber, options};
+use super::{DEADLINE, frame, frames_publisher, frames_subscriber, in_space, options};
 
 const VARIABLE: &str = "EDDY_TEST_CHILD";
 const PARTICLES: usize = 2_500;
@@ -132,6 +133,7 @@ fn main() {
     let transports = Transports::new(options);
     match role {
         "publish" => publish(&transports, &link),
+        "publish-in-space" => publish_in_space(&transports, &link),
         "subscribe" => subscribe(&transports, &link, u64::MAX),
         "stall" => subscribe(&transports, &link, 1),
         "strings" => {
@@ -158,6 +160,15 @@ fn publish(transports: &Transports, link: &Link) {
     }
 }
 
+/// Publishes frames of three dimensions as fast as they are taken, forever.
+fn publish_in_space(transports: &Transports, link: &Link) {
+    let mut publisher = frames_publisher(transports, link, Reliability::Block);
+    super::eventually("both subscribers are seen", || publisher.subscribers() == 2);
+    for sequence in 0.. {
+        publisher.publish_cdr(&in_space(sequence, 2 * PARTICLES).to_cdr()).unwrap();
+    }
+}
+
 /// Prints the frames that arrive; stops receiving after `most` frames.
 fn subscribe(transports: &Transports, link: &Link, most: u64) {
     let mut subscriber = frames_subscriber(transports, link);
@@ -167,7 +178,8 @@ fn subscribe(transports: &Transports, link: &Link, most: u64) {
         if read == most {
             thread::park();
         } else if let Some(payload) = subscriber.receive(Duration::from_millis(100)).unwrap() {
-            println!("frame {}", payload.into_frame().unwrap().sequence);
+            let frame = AnyFrame::from_cdr(&payload.into_cdr()).unwrap();
+            println!("frame {}", with_frame!(frame, frame => frame.sequence));
             read += 1;
         }
     }

@@ -5,10 +5,10 @@ use std::{
     process::{Command, Output},
 };
 
-use eddy_messages::{Message as _, RosString};
+use eddy_messages::{FrameCdr as _, Message as _, ParticleFrame, RosString};
 use eddy_transport::{Link, Reliability, TransportKind, Transports};
 
-use super::{domain, link, options};
+use super::{domain, in_space, link, options};
 
 const VARIABLE: &str = "EDDY_TEST_DESCRIPTORS";
 /// The most that a test opens.
@@ -38,7 +38,7 @@ fn transports() -> impl Iterator<Item = TransportKind> {
 #[test]
 fn what_is_reserved_suffices() {
     for transport in transports() {
-        for side in ["publishers", "subscribers"] {
+        for side in ["publishers", "subscribers", "frame_publishers", "frame_subscribers"] {
             let output = run(400, side, &link(transport.name()));
             let error = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{transport} {side}: {error}");
@@ -75,9 +75,10 @@ fn child() {
     options.domain_id = domain.parse().unwrap();
     let transports = Transports::new(options);
     let topic = |number: usize| link.with_topic(&format!("{}/{number}", link.topic));
-    let publisher =
-        |number| transports.publisher(&topic(number), RosString::TYPE, Reliability::Block);
-    let subscriber = |number| transports.subscriber(&topic(number), RosString::TYPE);
+    let of_frames = role.starts_with("frame_");
+    let type_name = if of_frames { ParticleFrame::TYPE } else { RosString::TYPE };
+    let publisher = |number| transports.publisher(&topic(number), type_name, Reliability::Block);
+    let subscriber = |number| transports.subscriber(&topic(number), type_name);
     if role == "refused" {
         println!("{}", publisher(0).err().unwrap());
         println!("{}", subscriber(0).err().unwrap());
@@ -85,17 +86,24 @@ fn child() {
         return;
     }
     let before = open();
-    let of = |number| if role == "publishers" { (number, 0) } else { (0, number) };
     let may = |number: usize| {
-        let (publishers, subscribers) = of(number);
-        transports.reserve(link.transport, publishers, subscribers).is_ok()
+        let types = vec![type_name; number];
+        let of: [&[&str]; 2] =
+            if role.ends_with("publishers") { [&types, &[]] } else { [&[], &types] };
+        transports.reserve(link.transport, of[0], of[1]).is_ok()
     };
     let number = (1..=MOST).take_while(|&number| may(number)).last().expect("one is possible");
     let (mut publishers, mut subscribers, mut first) = (Vec::new(), Vec::new(), 0);
     for number in 0..number {
-        match role {
-            "publishers" => publishers.push(publisher(number).unwrap()),
-            _ => subscribers.push(subscriber(number).unwrap()),
+        if role.ends_with("subscribers") {
+            subscribers.push(subscriber(number).unwrap());
+        } else {
+            let mut publisher = publisher(number).unwrap();
+            if of_frames {
+                // What a publisher opens at most: for frames of either dimension.
+                publisher.publish_cdr(&in_space(0, 1).to_cdr()).unwrap();
+            }
+            publishers.push(publisher);
         }
         if number == 0 {
             first = open() - before;

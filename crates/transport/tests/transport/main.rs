@@ -22,7 +22,7 @@ use std::{
 };
 
 use eddy_frames::{Domain, Frame, Material, Stamp};
-use eddy_messages::{Message, ParticleFrame};
+use eddy_messages::{FrameCdr as _, Message, ParticleFrame};
 use eddy_transport::{
     Link, Payload, Publisher, Reliability, Subscriber, TransportOptions, Transports,
 };
@@ -119,6 +119,30 @@ fn expect_frame(subscriber: &mut dyn Subscriber, expected: &Frame) {
     let found = next_frame(subscriber);
     assert_eq!((found.sequence, found.len()), (expected.sequence, expected.len()));
     assert!(found == *expected, "frame {} differs", expected.sequence);
+}
+
+/// The same of three dimensions.
+fn in_space(sequence: u64, particles: usize) -> Frame<3> {
+    let Frame { stream, stamp, dt, position, velocity, material, .. } = frame(sequence, particles);
+    let deep = |plane: &[f32; 2]| [plane[0], plane[1], plane[0] - plane[1]];
+    Frame {
+        stream,
+        sequence,
+        stamp,
+        dt,
+        domain: Domain { lower: [-0.5, 0.0, -1.0], upper: [1.0, 2.0, 3.0] },
+        position: position.iter().map(deep).collect(),
+        velocity: velocity.iter().map(deep).collect(),
+        material,
+    }
+}
+
+/// Waits for a frame of three dimensions.
+fn next_in_space(subscriber: &mut dyn Subscriber) -> Frame<3> {
+    let payload = subscriber.receive(DEADLINE).unwrap().unwrap();
+    let refused = payload.clone().into_frame().unwrap_err().to_string();
+    assert_eq!(refused, "lower: found 3 dimensions, expected 2");
+    Frame::from_cdr(&payload.into_cdr()).unwrap()
 }
 
 /// A frame with its sequence number in every particle, in bits that rounding would lose.

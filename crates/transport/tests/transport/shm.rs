@@ -5,13 +5,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use eddy_messages::{Message, ParticleFrame};
+use eddy_messages::{FrameCdr as _, Message, ParticleFrame};
 use eddy_transport::{Link, Payload, Reliability, TransportKind, TransportOptions, Transports};
 use iceoryx2::prelude::*;
 
 use super::{
     DEADLINE, child::Process, eventually, expect_frame, frame, frames_publisher, frames_subscriber,
-    link, next_frame, options,
+    in_space, link, next_frame, next_in_space, options,
 };
 
 #[test]
@@ -70,6 +70,21 @@ fn a_killed_publisher_leaves_its_subscriber_running_and_works_again_when_restart
 }
 
 #[test]
+fn no_frame_of_three_dimensions_is_lost_between_three_processes() {
+    let (options, link) = (options(), link("shm"));
+    let transports = Transports::new(options.clone());
+    let mut subscriber = frames_subscriber(&transports, &link);
+    let other = Process::start("subscribe", &link, &options);
+    other.says("ready");
+    let _publisher = Process::start("publish-in-space", &link, &options);
+    for sequence in 0..300 {
+        let found = next_in_space(&mut *subscriber);
+        assert_eq!(found, in_space(sequence, 5_000), "frame {sequence}");
+        assert_eq!(other.says("frame "), format!("frame {sequence}"));
+    }
+}
+
+#[test]
 fn frames_outlive_the_publisher_that_sent_them() {
     let (options, link) = (options(), link("shm"));
     let there = Transports::new(options.clone());
@@ -105,6 +120,11 @@ fn memory_grows_with_the_frame_and_is_reported() {
         }
         // As many messages of 2,560 particles as subscribers can hold; 51 of the next power of two.
         assert_eq!(reported, [16, 133, 133, 133]);
+        let sent = in_space(4, 2_500);
+        publisher.publish_cdr(&sent.to_cdr()).unwrap();
+        assert_eq!(next_in_space(&mut *subscriber), sent);
+        assert_eq!((memory().publishers, memory().subscribers), (1, 1));
+        assert_eq!(memory().bytes / 1_000_000, 156, "as many messages of 2,560 larger particles");
     }
 }
 

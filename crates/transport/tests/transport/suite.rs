@@ -10,7 +10,7 @@ use std::{
 };
 
 use eddy_messages::{
-    DiagnosticArray, Message, ParticleFrame, RosString, TypeSupport, cdr,
+    DiagnosticArray, FrameCdr as _, Message, ParticleFrame, RosString, TypeSupport, cdr,
     type_descriptions::{
         GET_TYPE_DESCRIPTION, SERVICE_NAME, TypeDescriptionRequest, TypeDescriptionResponse,
     },
@@ -20,7 +20,7 @@ use eddy_transport::{Link, Reliability, SeenTopic, TransportError, Transports};
 
 use super::{
     DEADLINE, child::Process, ends, eventually, expect_frame, frame, frames_publisher,
-    frames_subscriber, is_frame, link, next_frame, options,
+    frames_subscriber, in_space, is_frame, link, next_frame, next_in_space, options,
 };
 
 const PARTICLES: usize = 2_500;
@@ -70,6 +70,10 @@ macro_rules! every_transport {
             #[test]
             fn frames_of_any_size_share_a_topic() {
                 super::frames_of_any_size_share_a_topic(NAME);
+            }
+            #[test]
+            fn frames_of_either_dimension_share_a_topic() {
+                super::frames_of_either_dimension_share_a_topic(NAME);
             }
             #[test]
             fn publishers_and_subscribers_outlive_their_transports() {
@@ -252,6 +256,21 @@ fn frames_of_any_size_share_a_topic(transport: &str) {
         frames.iter().for_each(|frame| publisher.publish_frame(frame).unwrap());
         frames.iter().for_each(|frame| expect_frame(&mut *subscriber, frame));
     }
+}
+
+fn frames_of_either_dimension_share_a_topic(transport: &str) {
+    let ([here, there], link) = (ends(transport, options()), link(transport));
+    let mut subscriber = frames_subscriber(&there, &link);
+    let mut publisher = frames_publisher(&here, &link, Reliability::Block);
+    eventually("the subscriber is seen", || publisher.subscribers() == 1);
+    for sequence in 0..6 {
+        let (plane, space) = (frame(2 * sequence, 50), in_space(2 * sequence + 1, 500));
+        publisher.publish_cdr(&space.to_cdr()).unwrap();
+        assert_eq!(next_in_space(&mut *subscriber), space);
+        publisher.publish_frame(&plane).unwrap();
+        expect_frame(&mut *subscriber, &plane);
+    }
+    assert_eq!(subscriber.lost(), 0);
 }
 
 fn publishers_and_subscribers_outlive_their_transports(transport: &str) {

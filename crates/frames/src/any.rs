@@ -1,0 +1,127 @@
+//! Frames whose dimension is only known from the data.
+
+use std::fmt;
+
+use super::{Domain, Frame, InvalidFrame};
+
+/// A frame of two or three dimensions.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AnyFrame {
+    /// In the plane.
+    Two(Frame<2>),
+    /// In space.
+    Three(Frame<3>),
+}
+
+/// Two or three numbers, one for each axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coordinates {
+    /// Those of axes that there are not are 0.
+    numbers: [f32; 3],
+    dimension: u32,
+}
+
+impl<const D: usize> From<[f32; D]> for Coordinates {
+    fn from(coordinates: [f32; D]) -> Self {
+        let mut numbers = [0.0; 3];
+        numbers[..D].copy_from_slice(&coordinates);
+        Self { numbers, dimension: D as u32 }
+    }
+}
+
+impl fmt::Display for Coordinates {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (axis, number) in self.numbers.iter().take(self.dimension as usize).enumerate() {
+            let between = if axis > 0 { ", " } else { "" };
+            write!(f, "{between}{number}")?;
+        }
+        Ok(())
+    }
+}
+
+/// The domain of such a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnyDomain {
+    lower: Coordinates,
+    upper: Coordinates,
+}
+
+impl<const D: usize> From<Domain<D>> for AnyDomain {
+    fn from(Domain { lower, upper }: Domain<D>) -> Self {
+        Self { lower: lower.into(), upper: upper.into() }
+    }
+}
+
+impl fmt::Display for AnyDomain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { lower, upper } = self;
+        let axes = lower.numbers.iter().zip(&upper.numbers).take(lower.dimension as usize);
+        for (axis, (lower, upper)) in axes.enumerate() {
+            let between = if axis > 0 { " x " } else { "" };
+            write!(f, "{between}{lower} to {upper}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Calls the same code for frames of either dimension.
+#[macro_export]
+macro_rules! with_frame {
+    ($any:expr, $frame:ident => $code:expr) => {
+        match $any {
+            $crate::AnyFrame::Two($frame) => $code,
+            $crate::AnyFrame::Three($frame) => $code,
+        }
+    };
+}
+
+impl AnyFrame {
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        with_frame!(self, frame => frame.len())
+    }
+
+    /// Whether there are no particles (never the case for a valid frame).
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// That a frame has another dimension.
+fn other(found: usize, expected: usize) -> InvalidFrame {
+    InvalidFrame::Dimension { field: "lower", found, expected: expected.to_string() }
+}
+
+impl From<Frame<2>> for AnyFrame {
+    fn from(frame: Frame<2>) -> Self {
+        Self::Two(frame)
+    }
+}
+
+impl From<Frame<3>> for AnyFrame {
+    fn from(frame: Frame<3>) -> Self {
+        Self::Three(frame)
+    }
+}
+
+impl TryFrom<AnyFrame> for Frame<2> {
+    type Error = InvalidFrame;
+
+    fn try_from(frame: AnyFrame) -> Result<Self, InvalidFrame> {
+        match frame {
+            AnyFrame::Two(frame) => Ok(frame),
+            AnyFrame::Three(_) => Err(other(3, 2)),
+        }
+    }
+}
+
+impl TryFrom<AnyFrame> for Frame<3> {
+    type Error = InvalidFrame;
+
+    fn try_from(frame: AnyFrame) -> Result<Self, InvalidFrame> {
+        match frame {
+            AnyFrame::Two(_) => Err(other(2, 3)),
+            AnyFrame::Three(frame) => Ok(frame),
+        }
+    }
+}
