@@ -40,7 +40,7 @@ impl TrainingConstants {
     /// Of a described particle model.
     ///
     /// # Errors
-    /// [`CudaError::Unsupported`] for the frame model and for layers that are too wide.
+    /// [`CudaError::Unsupported`](crate::CudaError::Unsupported) for the frame model and for layers that are too wide.
     pub fn of(description: &Description) -> Result<Self> {
         let network = Constants::of(description)?;
         let bytes = |warps| {

@@ -9,7 +9,7 @@
 //! ReLU follows where the layer is rectified. Missing neighbours and children count as zeros.
 //!
 //! 1. This file: whole lists of rows, for training, with the gradients. Products are those of `kernels/narrow`.
-//! 2. `packed`: for predictions, a block of nodes with the packed weights of [`linear`](super::linear).
+//! 2. `packed`: for predictions, a block of nodes with the packed weights of [`linear`].
 //! 3. `particle/node_layers.cu` of `eddy-cuda`, beside the code that launches it: on GPUs, for predictions and both passes of training.
 
 pub(crate) mod packed;
