@@ -75,18 +75,6 @@ macro_rules! with_frame {
     };
 }
 
-impl AnyFrame {
-    /// Number of particles.
-    pub fn len(&self) -> usize {
-        with_frame!(self, frame => frame.len())
-    }
-
-    /// Whether there are no particles (never the case for a valid frame).
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-}
-
 /// That a frame has another dimension.
 fn other(found: usize, expected: usize) -> InvalidFrame {
     InvalidFrame::Dimension { field: "lower", found, expected: expected.to_string() }
