@@ -40,19 +40,37 @@ impl<'py, T: Element> Argument<'py, T> {
         value: &Bound<'py, PyAny>,
         expected: &[Option<usize>],
     ) -> PyResult<Self> {
+        let fits = |shape: &[usize]| {
+            let mut axes = shape.iter().zip(expected);
+            shape.len() == expected.len()
+                && axes.all(|(&found, &length)| length.is_none_or(|length| length == found))
+        };
+        Self::checked(name, value, fits, || pattern(expected))
+    }
+
+    /// The same for an array of vectors in the plane or in space, `[N, 2]` or `[N, 3]`.
+    ///
+    /// # Errors
+    /// As [`Argument::new`].
+    pub(crate) fn vectors(name: &str, value: &Bound<'py, PyAny>) -> PyResult<Self> {
+        let fits = |shape: &[usize]| matches!(shape, [_, 2 | 3]);
+        Self::checked(name, value, fits, || "shape [N, 2] or [N, 3]".to_owned())
+    }
+
+    fn checked(
+        name: &str,
+        value: &Bound<'py, PyAny>,
+        fits: impl FnOnce(&[usize]) -> bool,
+        expected: impl FnOnce() -> String,
+    ) -> PyResult<Self> {
         let array = numpy_array(name, value)?;
         let Ok(array) = array.cast::<PyArrayDyn<T>>() else {
             let expected = T::get_dtype(array.py());
             return Err(wrong(name, format!("dtype {}", array.dtype()), expected));
         };
         let shape = array.shape().to_vec();
-        let fits = shape.len() == expected.len()
-            && shape
-                .iter()
-                .zip(expected)
-                .all(|(&found, &length)| length.is_none_or(|l| l == found));
-        if !fits {
-            return Err(wrong(name, format!("shape {shape:?}"), pattern(expected)));
+        if !fits(&shape) {
+            return Err(wrong(name, format!("shape {shape:?}"), expected()));
         }
         if !array.is_c_contiguous() {
             let found = "an array with gaps or another order";
@@ -82,9 +100,9 @@ impl<'py, T: Element> Argument<'py, T> {
 }
 
 impl Argument<'_, f32> {
-    /// The elements of an array whose last axis has length two.
-    pub(crate) fn pairs(&self) -> &[[f32; 2]] {
-        bytemuck::cast_slice(self.as_slice())
+    /// The elements of an array whose last axis has length `D`.
+    pub(crate) fn rows<const D: usize>(&self) -> &[[f32; D]] {
+        self.as_slice().as_chunks().0
     }
 }
 
@@ -141,16 +159,16 @@ pub(crate) unsafe fn view<'py, T: Element>(
     unsafe { read_only(ArrayView1::from(values), owner) }
 }
 
-/// A read-only array `[N, 2]` of values that belong to `owner`.
+/// A read-only array `[N, D]` of values that belong to `owner`.
 ///
 /// # Safety
 /// As [`view`].
-pub(crate) unsafe fn view_pairs<'py>(
-    pairs: &[[f32; 2]],
+pub(crate) unsafe fn view_rows<'py, const D: usize>(
+    rows: &[[f32; D]],
     owner: Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     // SAFETY: guaranteed by the caller.
-    unsafe { read_only(ArrayView2::from(pairs), owner) }
+    unsafe { read_only(ArrayView2::from(rows), owner) }
 }
 
 /// # Safety

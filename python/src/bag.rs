@@ -1,15 +1,12 @@
 //! `Bag` and `BagWriter`: MCAP bags in rosbag2's format.
 
-use std::{
-    path::PathBuf,
-    sync::{Arc, Mutex},
-};
+use std::{path::PathBuf, sync::Mutex};
 
 use eddy_bag::{
     BagReader, Compression, Selection, TopicId, WriterOptions,
     custom_data::{CustomData, check_entry},
 };
-use eddy_frames::{Stamp, clock};
+use eddy_frames::{AnyFrame, Stamp, clock, with_frame};
 use eddy_messages::{FrameCdr, Message as _, ParticleFrame, QosProfile, TypeSupport};
 use pyo3::{
     exceptions::PyValueError,
@@ -61,11 +58,11 @@ impl Bag {
     /// An iterator over the frames of a topic in the order of their log time.
     #[pyo3(signature = (topic="/particles"))]
     fn frames(&self, topic: &str) -> PyResult<Frames> {
-        let frames = self.inner.frames(topic).map_err(raise::<BagError>)?;
+        let frames = self.inner.frames_of(topic).map_err(raise::<BagError>)?;
         Ok(Frames { inner: Mutex::new(frames) })
     }
 
-    /// The frames of a stream of a topic as arrays: `position`, `velocity` float32 [T, N, 2], `material` uint8 [N],
+    /// The frames of a stream of a topic as arrays: `position`, `velocity` float32 [T, N, 2] or [T, N, 3], `material` uint8 [N],
     /// `sequence` uint64 [T], `time` float64 [T] (s). The stream may be omitted if there is one only.
     #[pyo3(signature = (topic="/particles", *, stream=None))]
     fn arrays<'py>(
@@ -74,12 +71,12 @@ impl Bag {
         topic: &str,
         stream: Option<u64>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let frames = self.inner.frames(topic).map_err(raise::<BagError>)?;
+        let frames = self.inner.frames_of(topic).map_err(raise::<BagError>)?;
         let read = || stack(topic, frames, stream);
-        let Stacked { particles, position, velocity, material, sequence, time } =
+        let Stacked { dimension, particles, position, velocity, material, sequence, time } =
             py.detach(read)?;
         let frames = sequence.len();
-        let cube = |pairs: Vec<[f32; 2]>| array(py, pairs.into_flattened(), [frames, particles, 2]);
+        let cube = |numbers: Vec<f32>| array(py, numbers, [frames, particles, dimension]);
         let arrays = PyDict::new(py);
         arrays.set_item("position", cube(position))?;
         arrays.set_item("velocity", cube(velocity))?;
@@ -165,40 +162,51 @@ impl From<Topics> for Vec<String> {
 /// The frames of one stream, one after the other.
 #[derive(Default)]
 struct Stacked {
+    dimension: usize,
     particles: usize,
-    position: Vec<[f32; 2]>,
-    velocity: Vec<[f32; 2]>,
+    position: Vec<f32>,
+    velocity: Vec<f32>,
     material: Vec<u8>,
     sequence: Vec<u64>,
     time: Vec<f64>,
 }
 
+impl Stacked {
+    fn add<const D: usize>(&mut self, topic: &str, frame: &eddy_frames::Frame<D>) -> PyResult<()> {
+        let material = frame.material.iter().map(|&material| material as u8);
+        if self.sequence.is_empty() {
+            (self.dimension, self.particles) = (D, frame.len());
+            self.material = material.collect();
+        } else if D != self.dimension || !material.eq(self.material.iter().copied()) {
+            let found = format!("other particles at sequence {}", frame.sequence);
+            return Err(wrong(topic, found, "those of the first frame (use Bag.frames)"));
+        }
+        self.position.extend_from_slice(frame.position.as_flattened());
+        self.velocity.extend_from_slice(frame.velocity.as_flattened());
+        self.sequence.push(frame.sequence);
+        self.time.push(frame.stamp.seconds());
+        Ok(())
+    }
+}
+
 /// Reads the frames of a stream, whose particles must be the same in each.
-fn stack(topic: &str, frames: eddy_bag::Frames, stream: Option<u64>) -> PyResult<Stacked> {
+fn stack(
+    topic: &str,
+    frames: eddy_bag::Frames<AnyFrame>,
+    stream: Option<u64>,
+) -> PyResult<Stacked> {
     let mut stacked = Stacked::default();
     let mut only = stream;
     for frame in frames {
         let frame = frame.map_err(raise::<BagError>)?;
-        let expected = *only.get_or_insert(frame.stream);
-        if frame.stream != expected {
-            if stream.is_some() {
-                continue;
-            }
-            let found = format!("frames of streams {expected} and {}", frame.stream);
+        let found = with_frame!(&frame, frame => frame.stream);
+        let expected = *only.get_or_insert(found);
+        if found == expected {
+            with_frame!(&frame, frame => stacked.add(topic, frame))?;
+        } else if stream.is_none() {
+            let found = format!("frames of streams {expected} and {found}");
             return Err(wrong(topic, found, "one stream: pass its id as `stream`"));
         }
-        let material = frame.material.iter().map(|&material| material as u8);
-        if stacked.sequence.is_empty() {
-            stacked.particles = frame.len();
-            stacked.material = material.collect();
-        } else if !material.eq(stacked.material.iter().copied()) {
-            let found = format!("other particles at sequence {}", frame.sequence);
-            return Err(wrong(topic, found, "those of the first frame (use Bag.frames)"));
-        }
-        stacked.position.extend_from_slice(&frame.position);
-        stacked.velocity.extend_from_slice(&frame.velocity);
-        stacked.sequence.push(frame.sequence);
-        stacked.time.push(frame.stamp.seconds());
     }
     if stacked.sequence.is_empty() {
         let found = format!("no frames of stream {}", stream.unwrap_or_default());
@@ -210,7 +218,7 @@ fn stack(topic: &str, frames: eddy_bag::Frames, stream: Option<u64>) -> PyResult
 /// An iterator over frames.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Frames {
-    inner: Mutex<eddy_bag::Frames>,
+    inner: Mutex<eddy_bag::Frames<AnyFrame>>,
 }
 
 #[pymethods]
@@ -350,11 +358,12 @@ impl BagWriter {
         topic: &str,
         log_time: Option<i64>,
     ) -> PyResult<()> {
-        let frame = Arc::clone(&frame.get().inner);
+        let frame = &frame.get().inner;
         self.with(py, |writer| {
             let topic = writer.topic(topic, ParticleFrame::TYPE)?;
+            let stamp = with_frame!(frame, frame => frame.stamp);
             match log_time {
-                None => writer.write_stamped(topic, frame.stamp, &frame.to_cdr()),
+                None => writer.write_stamped(topic, stamp, &frame.to_cdr()),
                 Some(time) => writer.write(topic, Stamp(time), Stamp(time), &frame.to_cdr()),
             }
         })

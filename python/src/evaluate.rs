@@ -128,12 +128,14 @@ pub(crate) fn skill<'py>(
     predicted: &Bound<'py, PyAny>,
     gravity: [f32; 2],
 ) -> PyResult<Bound<'py, PyAny>> {
-    let Some(first) = starts.first().map(|frame| &frame.get().inner) else {
+    let starts: Vec<&eddy_frames::Frame> =
+        starts.iter().map(|frame| frame.get().plane()).collect::<PyResult<_>>()?;
+    let Some(first) = starts.first() else {
         return Err(wrong("starts", "no frames", "at least 1"));
     };
     let particles = first.len();
-    if let Some(index) = starts.iter().position(|frame| frame.get().inner.len() != particles) {
-        let found = format!("{} particles", starts[index].get().inner.len());
+    if let Some(index) = starts.iter().position(|frame| frame.len() != particles) {
+        let found = format!("{} particles", starts[index].len());
         return Err(wrong(&format!("starts[{index}]"), found, format!("{particles}")));
     }
     let shape = [Some(starts.len()), None, Some(particles), Some(2)];
@@ -144,13 +146,10 @@ pub(crate) fn skill<'py>(
     }
     let shape = [Some(starts.len()), Some(horizon), Some(particles), Some(2)];
     let predicted = Argument::<f32>::new("predicted", predicted, &shape)?;
-    let (truth, predicted) = (truth.pairs(), predicted.pairs());
+    let (truth, predicted) = (truth.rows(), predicted.rows());
     let states: Vec<State> = starts
         .iter()
-        .map(|frame| State {
-            position: frame.get().inner.position.clone(),
-            velocity: frame.get().inner.velocity.clone(),
-        })
+        .map(|frame| State { position: frame.position.clone(), velocity: frame.velocity.clone() })
         .collect();
     let dt = first.dt;
     let skills = py.detach(|| position_skill(&states, truth, predicted, dt, gravity));

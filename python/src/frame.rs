@@ -1,38 +1,58 @@
 //! `Frame`: all particles at one instant.
 #![expect(unsafe_code, reason = "arrays that borrow the memory of a frozen object")]
 
-use std::sync::Arc;
+use eddy_frames::{AnyFrame, Domain, InvalidFrame, Material, Stamp, with_frame};
+use pyo3::{
+    exceptions::PyValueError,
+    prelude::*,
+    types::{PyString, PyTuple},
+};
 
-use eddy_frames::{Domain, Material, Stamp};
-use pyo3::{exceptions::PyValueError, prelude::*, types::PyString};
-
-use crate::arrays::{Argument, view, view_pairs, wrong};
+use crate::arrays::{Argument, view, view_rows, wrong};
 
 /// All particles at one instant. `N` is the number of particles; lengths are in domain lengths, times in seconds.
 ///
 /// The arrays of a frame are read-only views without a copy.
 ///
-/// `position`, `velocity`: float32 [N, 2]. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
+/// `position`, `velocity`: float32 [N, 2], or [N, 3] in space. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
 /// material of all particles. These arrays are copied. `stream`: id of the simulated trajectory. `sequence`: number of the
-/// frame in it. `time`: simulation time (s). `dt`: time between two frames (s). `lower`, `upper`: corners of the domain.
+/// frame in it. `time`: simulation time (s). `dt`: time between two frames (s). `lower`, `upper`: corners of the domain, by
+/// default the unit square or cube. Surrogates, the solver and the node know two dimensions, and raise ValueError for three.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Frame {
-    pub(crate) inner: Arc<eddy_frames::Frame>,
+    pub(crate) inner: AnyFrame,
     /// The numbers of the materials, `[N]`.
     material: Vec<u8>,
 }
 
-impl From<eddy_frames::Frame> for Frame {
-    fn from(frame: eddy_frames::Frame) -> Self {
-        let material = frame.material.iter().map(|&material| material as u8).collect();
-        Self { inner: Arc::new(frame), material }
+impl<F: Into<AnyFrame>> From<F> for Frame {
+    fn from(frame: F) -> Self {
+        let inner = frame.into();
+        let material = with_frame!(&inner, frame => {
+            frame.material.iter().map(|&material| material as u8).collect()
+        });
+        Self { inner, material }
     }
+}
+
+impl Frame {
+    /// The frame for what knows two dimensions.
+    ///
+    /// # Errors
+    /// `ValueError` for a frame of three.
+    pub(crate) fn plane(&self) -> PyResult<&eddy_frames::Frame> {
+        (&self.inner).try_into().map_err(invalid)
+    }
+}
+
+fn invalid(error: InvalidFrame) -> PyErr {
+    PyValueError::new_err(error.to_string())
 }
 
 #[pymethods]
 impl Frame {
     #[new]
-    #[pyo3(signature = (position, velocity, material, *, stream=0, sequence=0, time=0.0, dt=0.016, lower=[0.0, 0.0], upper=[1.0, 1.0]))]
+    #[pyo3(signature = (position, velocity, material, *, stream=0, sequence=0, time=0.0, dt=0.016, lower=None, upper=None))]
     #[expect(clippy::too_many_arguments, reason = "one argument for each field of a frame")]
     fn new(
         position: &Bound<'_, PyAny>,
@@ -42,35 +62,52 @@ impl Frame {
         sequence: u64,
         time: f64,
         dt: f32,
-        lower: [f32; 2],
-        upper: [f32; 2],
+        lower: Option<Vec<f32>>,
+        upper: Option<Vec<f32>>,
     ) -> PyResult<Self> {
-        let position = Argument::<f32>::new("position", position, &[None, Some(2)])?;
-        let position = position.pairs().to_vec();
-        let shape = [Some(position.len()), Some(2)];
-        let velocity = Argument::<f32>::new("velocity", velocity, &shape)?.pairs().to_vec();
-        let material = materials(material, position.len())?;
+        let position = Argument::<f32>::vectors("position", position)?;
+        let (particles, dimension) = (position.shape()[0], position.shape()[1]);
+        let shape = [Some(particles), Some(dimension)];
+        let velocity = Argument::<f32>::new("velocity", velocity, &shape)?;
+        let material = materials(material, particles)?;
         if !time.is_finite() {
             return Err(wrong("time", time, "a finite number of seconds"));
         }
-        let (stamp, domain) = (Stamp::from_seconds(time), Domain { lower, upper });
-        eddy_frames::Frame::new(stream, sequence, stamp, dt, domain, position, velocity, material)
-            .map(Self::from)
-            .map_err(|error| PyValueError::new_err(error.to_string()))
+        let stamp = Stamp::from_seconds(time);
+        macro_rules! frame {
+            ($dimension:literal) => {{
+                let (lower, upper) = (corner("lower", lower, 0.0)?, corner("upper", upper, 1.0)?);
+                let (position, velocity) = (position.rows().to_vec(), velocity.rows().to_vec());
+                let domain = Domain::<$dimension> { lower, upper };
+                eddy_frames::Frame::new(
+                    stream, sequence, stamp, dt, domain, position, velocity, material,
+                )
+                .map(Self::from)
+                .map_err(invalid)
+            }};
+        }
+        match dimension {
+            3 => frame!(3),
+            _ => frame!(2),
+        }
     }
 
-    /// Positions, float32 [N, 2] (domain lengths), read-only.
+    /// Positions, float32 [N, 2] or [N, 3] (domain lengths), read-only.
     #[getter]
     fn position<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the positions.
-        unsafe { view_pairs(&slf.get().inner.position, slf.clone().into_any()) }
+        with_frame!(&slf.get().inner, frame => unsafe {
+            view_rows(&frame.position, slf.clone().into_any())
+        })
     }
 
-    /// Velocities, float32 [N, 2] (domain lengths per second), read-only.
+    /// Velocities, float32 [N, 2] or [N, 3] (domain lengths per second), read-only.
     #[getter]
     fn velocity<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the velocities.
-        unsafe { view_pairs(&slf.get().inner.velocity, slf.clone().into_any()) }
+        with_frame!(&slf.get().inner, frame => unsafe {
+            view_rows(&frame.velocity, slf.clone().into_any())
+        })
     }
 
     /// Materials, uint8 [N]: 0 liquid, 1 snow, 2 jelly, 3 rope; read-only.
@@ -83,52 +120,52 @@ impl Frame {
     /// Id of the simulated trajectory.
     #[getter]
     fn stream(&self) -> u64 {
-        self.inner.stream
+        with_frame!(&self.inner, frame => frame.stream)
     }
 
     /// Number of the frame in its stream.
     #[getter]
     fn sequence(&self) -> u64 {
-        self.inner.sequence
+        with_frame!(&self.inner, frame => frame.sequence)
     }
 
     /// Simulation time (s).
     #[getter]
     fn time(&self) -> f64 {
-        self.inner.stamp.seconds()
+        with_frame!(&self.inner, frame => frame.stamp.seconds())
     }
 
     /// Simulation time (ns).
     #[getter]
     fn stamp(&self) -> i64 {
-        self.inner.stamp.0
+        with_frame!(&self.inner, frame => frame.stamp.0)
     }
 
     /// Time between two frames (s).
     #[getter]
     fn dt(&self) -> f64 {
-        eddy_frames::decimal(self.inner.dt)
+        eddy_frames::decimal(with_frame!(&self.inner, frame => frame.dt))
     }
 
     /// Corner of the domain with the smallest coordinates.
     #[getter]
-    fn lower(&self) -> (f32, f32) {
-        self.inner.domain.lower.into()
+    fn lower<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        with_frame!(&self.inner, frame => PyTuple::new(py, frame.domain.lower))
     }
 
     /// Corner of the domain with the largest coordinates.
     #[getter]
-    fn upper(&self) -> (f32, f32) {
-        self.inner.domain.upper.into()
+    fn upper<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        with_frame!(&self.inner, frame => PyTuple::new(py, frame.domain.upper))
     }
 
     /// Raises ValueError if a number is not finite: predictions may diverge.
     fn check(&self) -> PyResult<()> {
-        self.inner.check().map_err(|error| PyValueError::new_err(error.to_string()))
+        with_frame!(&self.inner, frame => frame.check()).map_err(invalid)
     }
 
     fn __len__(&self) -> usize {
-        self.inner.len()
+        self.material.len()
     }
 
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
@@ -136,15 +173,22 @@ impl Frame {
     }
 
     fn __repr__(&self) -> String {
-        let Self { inner, .. } = self;
         format!(
             "Frame(stream={}, sequence={}, time={}, particles={})",
-            inner.stream,
-            inner.sequence,
-            inner.stamp.seconds(),
-            inner.len()
+            self.stream(),
+            self.sequence(),
+            self.time(),
+            self.material.len()
         )
     }
+}
+
+/// A corner of the domain, by default with one number along all axes.
+fn corner<const D: usize>(name: &str, given: Option<Vec<f32>>, default: f32) -> PyResult<[f32; D]> {
+    let Some(corner) = given else { return Ok([default; D]) };
+    corner.try_into().map_err(|found| {
+        wrong(name, format!("{found:?}"), format!("{D} numbers, one for each axis of position"))
+    })
 }
 
 /// Materials by number, or one name for all.

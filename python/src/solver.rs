@@ -74,7 +74,7 @@ impl Solver {
     /// Moves every particle by a vector, float32 [N, 2] (domain lengths).
     fn displace(&self, py: Python<'_>, by: &Bound<'_, PyAny>) -> PyResult<()> {
         let by = Argument::<f32>::new("by", by, &[None, Some(2)])?;
-        let pairs = by.pairs();
+        let pairs = by.rows::<2>();
         if let Some(row) = pairs.iter().position(|[x, y]| !(x.is_finite() && y.is_finite())) {
             return Err(wrong(
                 &format!("by[{row}]"),

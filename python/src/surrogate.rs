@@ -71,7 +71,7 @@ impl Surrogate {
         first: &Bound<'_, Frame>,
         stiffness: Option<f32>,
     ) -> PyResult<Stream> {
-        let first = Arc::clone(&first.get().inner);
+        let first = Arc::new(first.get().plane()?.clone());
         let surrogate = &slf.get().inner;
         let hidden = surrogate.start_with_stiffness(&first, stiffness).map_err(unfit)?;
         Ok(Stream { surrogate: slf.clone().unbind(), hidden: Mutex::new(hidden), first })
@@ -98,16 +98,17 @@ impl Surrogate {
                 let place = format!("streams[{index}]");
                 return Err(wrong(&place, "a stream that is there twice", "each stream once"));
             }
-            stream.get().check(slf, FrameView::from(&*frames[index].get().inner))?;
+            stream.get().check(slf, FrameView::from(frames[index].get().plane()?))?;
         }
         let streams: Vec<&Stream> = streams.iter().map(Bound::get).collect();
-        let frames: Vec<_> = frames.iter().map(|frame| Arc::clone(&frame.get().inner)).collect();
+        let frames: Vec<&eddy_frames::Frame> =
+            frames.iter().map(|frame| frame.get().plane()).collect::<PyResult<_>>()?;
         // The stepper before the streams, as everywhere: two calls with the same streams cannot wait for each other.
         let predicted = detached(py, &slf.get().stepper, |stepper| {
             let mut hidden: Vec<_> = streams.iter().map(|stream| lock(&stream.hidden)).collect();
             let mut jobs: Vec<Job<'_>> = hidden
                 .iter_mut()
-                .zip(&frames)
+                .zip(frames)
                 .map(|(hidden, frame)| Job { hidden, frame, next: None })
                 .collect();
             stepper.for_each(&mut jobs, |stepper, Job { hidden, frame, next }| {
@@ -143,12 +144,9 @@ impl Surrogate {
     }
 
     /// What the network was not trained for in a stream that begins with this frame, one sentence each.
-    fn warnings(&self, first: &Bound<'_, Frame>) -> Vec<String> {
-        self.inner
-            .warnings(&first.get().inner, Stated::default())
-            .iter()
-            .map(ToString::to_string)
-            .collect()
+    fn warnings(&self, first: &Bound<'_, Frame>) -> PyResult<Vec<String>> {
+        let warnings = self.inner.warnings(first.get().plane()?, Stated::default());
+        Ok(warnings.iter().map(ToString::to_string).collect())
     }
 
     fn __repr__(&self) -> String {
@@ -181,8 +179,8 @@ impl Stream {
 impl Stream {
     /// Observes a frame, true or predicted, and returns the predicted next frame.
     fn step(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Frame> {
-        let (surrogate, frame) = (self.surrogate.bind(py), &frame.get().inner);
-        self.check(surrogate, FrameView::from(&**frame))?;
+        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane()?);
+        self.check(surrogate, FrameView::from(frame))?;
         let stepper = &surrogate.get().stepper;
         let next = detached(py, stepper, |stepper| stepper.step(&mut lock(&self.hidden), frame));
         Ok(next.into())
@@ -202,7 +200,7 @@ impl Stream {
         let eddy_frames::Frame { stream, sequence, stamp, dt, domain, ref material, .. } =
             *self.first;
         let particles =
-            Particles::Lists { position: position.pairs(), velocity: velocity.pairs(), material };
+            Particles::Lists { position: position.rows(), velocity: velocity.rows(), material };
         let frame = FrameView { stream, sequence, stamp, dt, domain, particles };
         frame.check().map_err(|error| PyValueError::new_err(error.to_string()))?;
         let surrogate = self.surrogate.bind(py);
@@ -224,8 +222,8 @@ impl Stream {
         frame: &Bound<'_, Frame>,
         frames: usize,
     ) -> PyResult<Vec<Frame>> {
-        let (surrogate, frame) = (self.surrogate.bind(py), &frame.get().inner);
-        self.check(surrogate, FrameView::from(&**frame))?;
+        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane()?);
+        self.check(surrogate, FrameView::from(frame))?;
         let mut predicted: Vec<eddy_frames::Frame> = Vec::new();
         for _ in 0..frames {
             py.check_signals()?;

@@ -202,7 +202,7 @@ pub struct ImportArgs {
     /// Time between two frames (s) [default: from the files].
     #[arg(long, value_name = "SECONDS")]
     pub dt: Option<f32>,
-    /// Domain (domain lengths) [default: from the files, or the unit square].
+    /// Domain of particles in the plane (domain lengths) [default: from the files, or the unit square or cube].
     #[arg(long, num_args = 4, value_names = ["LEFT", "BOTTOM", "RIGHT", "TOP"], allow_negative_numbers = true)]
     pub domain: Option<Vec<f32>>,
     /// Material of all particles: liquid, snow, jelly or rope [default: from the files].

@@ -39,12 +39,27 @@ fn frame(stream: u64, sequence: u64, particles: usize) -> Frame {
     }
 }
 
-fn write_bag(path: &Path, frames: &[Frame]) {
+/// The frame in a box, with its particles in a plane that is not along its walls.
+fn in_space(frame: &Frame) -> Frame<3> {
+    let lifted = |[x, y]: &[f32; 2]| [*x, *y, 0.25 * x];
+    Frame {
+        domain: Domain { lower: [-2.0, 0.5, -0.75], upper: [2.0, 1.5, 0.75] },
+        position: frame.position.iter().map(lifted).collect(),
+        velocity: frame.velocity.iter().map(lifted).collect(),
+        material: frame.material.clone(),
+        stream: frame.stream,
+        sequence: frame.sequence,
+        stamp: frame.stamp,
+        dt: frame.dt,
+    }
+}
+
+fn write_bag<const D: usize>(path: &Path, frames: &[Frame<D>]) {
     write_bag_of(path, frames, CustomData::default());
 }
 
 /// A bag of matter whose stiffness may be stated.
-fn write_bag_of(path: &Path, frames: &[Frame], custom_data: CustomData) {
+fn write_bag_of<const D: usize>(path: &Path, frames: &[Frame<D>], custom_data: CustomData) {
     let mut bag = BagWriter::create(path, WriterOptions::default()).unwrap();
     bag.extend_custom_data(custom_data);
     let topic = bag.topic("/particles", ParticleFrame::TYPE).unwrap();
@@ -54,22 +69,27 @@ fn write_bag_of(path: &Path, frames: &[Frame], custom_data: CustomData) {
     bag.finish().unwrap();
 }
 
-fn frames_in(bag: &Path) -> Vec<Frame> {
-    let frames = BagReader::open(bag).unwrap().frames("/particles").unwrap();
+fn frames_in<const D: usize>(bag: &Path) -> Vec<Frame<D>> {
+    let frames = BagReader::open(bag).unwrap().frames_of("/particles").unwrap();
     frames.map(Result::unwrap).collect()
 }
 
-fn streams(bag: &Path) -> Streams {
+fn streams<const D: usize>(bag: &Path) -> Streams<D> {
     let choice = FrameSelection {
         bags: vec![bag.into()],
         topic: "/particles".into(),
         ..FrameSelection::default()
     };
+    assert_eq!(choice.dimension().unwrap(), D);
     Streams::find(&choice, &mut || true).unwrap()
 }
 
 fn try_export(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), ExchangeError> {
-    export(&streams(bag), None, format, to, &mut || true)
+    export(&streams::<2>(bag), None, format, to, &mut || true)
+}
+
+fn try_export_of_space(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), ExchangeError> {
+    export(&streams::<3>(bag), None, format, to, &mut || true)
 }
 
 fn try_import(
@@ -162,6 +182,29 @@ proptest! {
     }
 
     #[test]
+    fn frames_in_space_come_back_from_npz_and_gns(frames in any_stream()) {
+        let frames: Vec<Frame<3>> = frames.iter().map(in_space).collect();
+        let folder = tempdir().unwrap();
+        let (bag, file) = (folder.path().join("bag"), folder.path().join("stream.npz"));
+        let out = folder.path().join("out");
+        write_bag(&bag, &frames);
+        try_export_of_space(&bag, ExportFormat::Npz, &file).unwrap();
+        try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out).unwrap();
+        let out = out.join(format!("stream_{:04}", frames[0].stream));
+        prop_assert_eq!(&frames_in::<3>(&out), &frames);
+        if frames.len() < 2 || frames.iter().any(|frame| frame.material != frames[0].material) {
+            return Ok(());
+        }
+        let (set, out) = (folder.path().join("set"), folder.path().join("positions"));
+        try_export_of_space(&bag, ExportFormat::Gns, &set).unwrap();
+        try_import(&set, ImportFormat::Gns, ImportOverrides::default(), &out).unwrap();
+        for (back, frame) in frames_in::<3>(&out.join("stream_0000")).iter().zip(&frames) {
+            prop_assert_eq!(&back.position, &frame.position);
+            prop_assert_eq!(back.domain, frame.domain);
+        }
+    }
+
+    #[test]
     fn positions_and_materials_come_back_from_gns(mut frames in any_stream()) {
         for k in 1..frames.len() {
             frames[k].material = frames[0].material.clone();
@@ -179,7 +222,7 @@ proptest! {
             return Ok(());
         }
         outcome.unwrap();
-        let back = frames_in(&out.join("stream_0000"));
+        let back: Vec<Frame> = frames_in(&out.join("stream_0000"));
         prop_assert_eq!(back.len(), frames.len());
         for (back, frame) in back.iter().zip(&frames) {
             prop_assert_eq!(&back.position, &frame.position);
@@ -195,7 +238,7 @@ fn imported_bags_state_the_stiffness_that_is_given() {
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
     let custom_data = stated("1e4");
-    let (dt, domain) = (Some(0.016), Some(WIDE));
+    let (dt, domain) = (Some(0.016), Some(WIDE.into()));
     let given = ImportOverrides { dt, domain, material: None, custom_data: custom_data.clone() };
     try_import(&set, ImportFormat::Gns, given.clone(), &out).unwrap();
     for bag in entries(&out) {
@@ -226,10 +269,11 @@ fn velocities_that_a_file_lacks_are_differences_of_positions() {
     let (folder, bag) = two_streams();
     let (set, out) = (folder.path().join("set.npz"), folder.path().join("out"));
     try_export(&bag, ExportFormat::Gns, &set).unwrap();
-    let given = ImportOverrides { dt: Some(0.5), domain: Some(WIDE), ..ImportOverrides::default() };
+    let given =
+        ImportOverrides { dt: Some(0.5), domain: Some(WIDE.into()), ..ImportOverrides::default() };
     try_import(&set, ImportFormat::Gns, given, &out).unwrap();
     assert_eq!(entries(&out), ["stream_0000", "stream_0001"]);
-    for frame in frames_in(&out.join("stream_0001")) {
+    for frame in frames_in::<2>(&out.join("stream_0001")) {
         for [x, y] in frame.velocity {
             // 0.02 a frame of 0.5 s; positions are near 0.1, so that f32 leaves 1e-8 of them.
             assert!((x - 0.04).abs() < 1e-6 && y == 0.0, "{x}, {y}");
@@ -389,8 +433,8 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
         ),
         (
             "position",
-            Some(("position", header("'<f4'", "(2, 5, 3)"), vec![0; 120])),
-            "found shape [2, 5, 3], expected [frames, particles, 2]",
+            Some(("position", header("'<f4'", "(2, 5, 4)"), vec![0; 160])),
+            "found shape [2, 5, 4], expected [frames, particles, 2 or 3]",
         ),
         (
             "position",
@@ -489,7 +533,7 @@ fn a_gns_file_of_pickles_is_refused_with_the_reason() {
 #[test]
 fn an_interrupted_export_leaves_nothing() {
     let (folder, bag) = two_streams();
-    let streams = streams(&bag);
+    let streams = streams::<2>(&bag);
     for format in [
         ExportFormat::Npz,
         ExportFormat::Vtu,

@@ -4,30 +4,30 @@ use crate::ExchangeError;
 use eddy_frames::Frame;
 
 /// The frames of one topic, in ascending order of their sequence numbers.
-pub type Frames = Box<dyn Iterator<Item = Result<Frame, ExchangeError>>>;
+pub type Frames<const D: usize = 2> = Box<dyn Iterator<Item = Result<Frame<D>, ExchangeError>>>;
 
 /// Reads the frames of the first topic, each with the frames of the same sequence number on the other topics.
-pub struct AlignedFrames {
-    first: Frames,
-    others: Vec<Other>,
+pub struct AlignedFrames<const D: usize = 2> {
+    first: Frames<D>,
+    others: Vec<Other<D>>,
 }
 
-struct Other {
-    frames: Frames,
+struct Other<const D: usize> {
+    frames: Frames<D>,
     /// A frame that is later than the last one of the first topic.
-    next: Option<Frame>,
+    next: Option<Frame<D>>,
 }
 
-impl AlignedFrames {
+impl<const D: usize> AlignedFrames<D> {
     /// Matches `others` with `first`.
-    pub fn new(first: Frames, others: Vec<Frames>) -> Self {
+    pub fn new(first: Frames<D>, others: Vec<Frames<D>>) -> Self {
         let others = others.into_iter().map(|frames| Other { frames, next: None }).collect();
         Self { first, others }
     }
 }
 
-impl Iterator for AlignedFrames {
-    type Item = Result<Vec<Option<Frame>>, ExchangeError>;
+impl<const D: usize> Iterator for AlignedFrames<D> {
+    type Item = Result<Vec<Option<Frame<D>>>, ExchangeError>;
 
     /// One entry per topic; only the first is always a frame.
     fn next(&mut self) -> Option<Self::Item> {
@@ -44,9 +44,9 @@ impl Iterator for AlignedFrames {
     }
 }
 
-impl Other {
+impl<const D: usize> Other<D> {
     /// The frame with this sequence number, if there is one.
-    fn frame(&mut self, sequence: u64) -> Result<Option<Frame>, ExchangeError> {
+    fn frame(&mut self, sequence: u64) -> Result<Option<Frame<D>>, ExchangeError> {
         while self.next.as_ref().is_none_or(|frame| frame.sequence < sequence) {
             self.next = self.frames.next().transpose()?;
             if self.next.is_none() {

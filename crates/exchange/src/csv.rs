@@ -12,24 +12,27 @@ use super::{
 };
 
 /// Writes every frame of every stream. Times in s, lengths in domain lengths.
-pub(super) fn write(
-    streams: &Streams,
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
     path: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     let file = File::create_new(path).map_err(ExchangeError::io(path, "creating the file"))?;
     let mut table = BufWriter::new(file);
     let failed = || ExchangeError::io(path, "writing");
-    writeln!(table, "stream,sequence,time,particle,material,x,y,vx,vy").map_err(failed())?;
+    let (axes, speeds) = (&["x", "y", "z"][..D], &["vx", "vy", "vz"][..D]);
+    let columns = [&["stream", "sequence", "time", "particle", "material"], axes, speeds].concat();
+    writeln!(table, "{}", columns.join(",")).map_err(failed())?;
     for track in streams.tracks() {
         streams.read(track, progress, |frame| {
             let before = format!("{},{},{}", frame.stream, frame.sequence, frame.stamp.seconds());
             for particle in 0..frame.len() {
                 let material = frame.material[particle].name();
-                let [x, y] = frame.position[particle];
-                let [vx, vy] = frame.velocity[particle];
-                writeln!(table, "{before},{particle},{material},{x},{y},{vx},{vy}")
-                    .map_err(failed())?;
+                write!(table, "{before},{particle},{material}").map_err(failed())?;
+                for number in frame.position[particle].iter().chain(&frame.velocity[particle]) {
+                    write!(table, ",{number}").map_err(failed())?;
+                }
+                writeln!(table).map_err(failed())?;
             }
             Ok(())
         })?;

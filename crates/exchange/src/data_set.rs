@@ -17,23 +17,23 @@ const PARTS: [(&str, Part); 3] =
     [("train", Part::Train), ("valid", Part::Validation), ("test", Part::Test)];
 
 /// Writes one file of trajectories and adds them to the statistics.
-pub(super) type Write = fn(
-    &Streams,
-    &[&Track],
+pub(super) type Write<const D: usize> = fn(
+    &Streams<D>,
+    &[&Track<D>],
     &Path,
-    Option<&mut Statistics>,
+    Option<&mut Statistics<D>>,
     &mut Progress<'_>,
 ) -> Result<(), ExchangeError>;
 
 /// Writes a data set of files with the given extension.
-pub(super) fn write_set(
-    streams: &Streams,
+pub(super) fn write_set<const D: usize>(
+    streams: &Streams<D>,
     directory: &Path,
     extension: &str,
-    write: Write,
+    write: Write<D>,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
-    let all: Vec<&Track> = streams.tracks().iter().collect();
+    let all: Vec<&Track<D>> = streams.tracks().iter().collect();
     check_scale(&all)?;
     let mut statistics = Statistics::default();
     for (name, part) in PARTS {
@@ -49,13 +49,13 @@ pub(super) fn write_set(
 }
 
 /// The streams of one part.
-fn part_of<'a>(all: &[&'a Track], part: Part) -> Vec<&'a Track> {
+fn part_of<'a, const D: usize>(all: &[&'a Track<D>], part: Part) -> Vec<&'a Track<D>> {
     let ids: Vec<u64> = all.iter().map(|track| track.stream).collect();
     all.iter().copied().filter(|track| Part::of(&ids, track.stream) == part).collect()
 }
 
 /// Checks that all streams have the same, constant dt and domain.
-fn check_scale(all: &[&Track]) -> Result<(), ExchangeError> {
+fn check_scale<const D: usize>(all: &[&Track<D>]) -> Result<(), ExchangeError> {
     for track in all {
         track.check_constant(&["dt", "domain", "sequence"], SCALE_RULE)?;
         let first = all[0];
@@ -74,7 +74,10 @@ fn check_scale(all: &[&Track]) -> Result<(), ExchangeError> {
 }
 
 /// Checks that the materials of a stream are constant.
-pub(super) fn check_material(track: &Track, rule: &'static str) -> Result<(), ExchangeError> {
+pub(super) fn check_material<const D: usize>(
+    track: &Track<D>,
+    rule: &'static str,
+) -> Result<(), ExchangeError> {
     if !track.material_varies {
         return Ok(());
     }

@@ -70,9 +70,9 @@ impl ExportFormat {
 /// [`ExchangeError::Exists`], [`ExchangeError::Unsuitable`] when the format cannot represent a stream,
 /// [`ExchangeError::OneFile`], [`ExchangeError::NoHdf5`], [`ExchangeError::Io`] and those of
 /// [`Streams::read`].
-pub fn export(
-    streams: &Streams,
-    truth: Option<&Streams>,
+pub fn export<const D: usize>(
+    streams: &Streams<D>,
+    truth: Option<&Streams<D>>,
     format: ExportFormat,
     path: &Path,
     progress: &mut Progress<'_>,
@@ -81,7 +81,7 @@ pub fn export(
         ExportFormat::Vtkhdf => extension == "vtkhdf",
         _ => extension == "npz",
     });
-    let tracks: Vec<&Track> = streams.tracks().iter().collect();
+    let tracks: Vec<&Track<D>> = streams.tracks().iter().collect();
     let output = Staged::new(path).map_err(ExchangeError::output(path))?;
     let (staged, mut scenes) = (&output.path(), ScenesBeside::default());
     let directory = || {
@@ -129,7 +129,10 @@ pub fn export(
 }
 
 /// The only stream, for a format with one per file.
-fn only<'a>(tracks: &[&'a Track], path: &Path) -> Result<&'a Track, ExchangeError> {
+fn only<'a, const D: usize>(
+    tracks: &[&'a Track<D>],
+    path: &Path,
+) -> Result<&'a Track<D>, ExchangeError> {
     match tracks {
         [track] => Ok(track),
         _ => Err(ExchangeError::OneFile { path: path.into(), found: tracks.len() }),

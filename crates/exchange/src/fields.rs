@@ -1,6 +1,6 @@
 //! Fields of particles that follow from their positions: density and strain, both relative to the first frame of a stream.
 
-use std::collections::HashMap;
+use std::{array, collections::HashMap};
 
 use eddy_frames::{Frame, Material};
 use eddy_inference::kernels::spacing::{median, spacing};
@@ -12,7 +12,7 @@ const REACH: f32 = 1.6;
 /// Maximum number of particles of a cell that are summed over: where particles are pressed together, all pairs would be the
 /// square of their number.
 const MAX_CANDIDATES: usize = 256;
-/// Smallest ratio of the extents of a neighbourhood, squared, that has a strain in both directions.
+/// Smallest ratio of the extents of a neighbourhood, squared, that has a strain in all directions.
 const MIN_FLATNESS: f32 = 1e-3;
 
 /// Fields of one frame.
@@ -20,26 +20,41 @@ pub(super) struct Fields {
     /// Density relative to the median of the first frame, `[N]`: 1 is packed as densely as there. Lower at free surfaces,
     /// where the kernel reaches beyond the particles.
     pub(super) density: Vec<f32>,
-    /// Green-Lagrange strain since the first frame as xx, yy, xy, `[N]`. NaN without neighbours of the same material in at
-    /// least two directions, and where the number of particles has changed.
-    pub(super) strain: Vec<[f32; 3]>,
+    /// Green-Lagrange strain since the first frame with the components of [`strain_components`], `[N, D (D + 1) / 2]`. NaN
+    /// without neighbours of the same material in at least `D` directions, and where the number of particles has changed.
+    pub(super) strain: Vec<f32>,
+}
+
+/// Names and axes of the components of a symmetric tensor, in the order of VTK.
+pub(super) const fn strain_components<const D: usize>() -> &'static [(&'static str, [usize; 2])] {
+    match D {
+        2 => &[("xx", [0, 0]), ("yy", [1, 1]), ("xy", [0, 1])],
+        _ => &[
+            ("xx", [0, 0]),
+            ("yy", [1, 1]),
+            ("zz", [2, 2]),
+            ("xy", [0, 1]),
+            ("yz", [1, 2]),
+            ("xz", [0, 2]),
+        ],
+    }
 }
 
 /// The first frame of a stream, which fields are relative to.
-pub(super) struct Reference {
+pub(super) struct Reference<const D: usize> {
     /// Radius of the kernel (domain lengths).
     radius: f32,
     /// Median of the kernel sums.
     packed: f32,
-    position: Vec<[f32; 2]>,
+    position: Vec<[f32; D]>,
     /// Neighbours of particle k: `neighbours[ends[k]..ends[k + 1]]`.
     neighbours: Vec<u32>,
     ends: Vec<usize>,
 }
 
-impl Reference {
+impl<const D: usize> Reference<D> {
     /// The reference `frame`.
-    pub(super) fn new(frame: &Frame) -> Self {
+    pub(super) fn new(frame: &Frame<D>) -> Self {
         let spacing = spacing(&frame.position);
         // A single particle has no spacing.
         let spacing = if spacing > 0.0 && spacing.is_finite() { spacing } else { 1.0 };
@@ -65,53 +80,67 @@ impl Reference {
     }
 
     /// Whether the strain of this frame is known: its particles are those of the reference.
-    pub(super) fn has_strain_of(&self, frame: &Frame) -> bool {
+    pub(super) fn has_strain_of(&self, frame: &Frame<D>) -> bool {
         frame.len() == self.position.len()
     }
 
     /// The fields of a frame of the same stream.
-    pub(super) fn fields(&self, frame: &Frame) -> Fields {
+    pub(super) fn fields(&self, frame: &Frame<D>) -> Fields {
         let sums = kernel_sums(&frame.position, self.radius);
         let density = sums.into_iter().map(|sum| sum / self.packed).collect();
         let strain = match self.has_strain_of(frame) {
-            true => (0..frame.len()).map(|k| self.strain(k, &frame.position)).collect(),
-            false => vec![[f32::NAN; 3]; frame.len()],
+            true => (0..frame.len()).flat_map(|k| self.strain(k, &frame.position)).collect(),
+            false => vec![f32::NAN; frame.len() * strain_components::<D>().len()],
         };
         Fields { density, strain }
     }
 
     /// Green-Lagrange strain of particle `k`, from the deformation gradient F that fits the displacements of its neighbours
     /// best: with rest distances X and present ones x, F = (sum x X^T) (sum X X^T)^-1.
-    fn strain(&self, k: usize, position: &[[f32; 2]]) -> [f32; 3] {
-        let [mut xx, mut xy, mut yy] = [0.0_f32; 3];
-        let mut moment = [[0.0_f32; 2]; 2];
+    fn strain(&self, k: usize, position: &[[f32; D]]) -> impl Iterator<Item = f32> + use<D> {
+        let [mut rests, mut moments] = [[[0.0_f32; D]; D]; 2];
         for &other in &self.neighbours[self.ends[k]..self.ends[k + 1]] {
             let rest = difference(self.position[other as usize], self.position[k]);
             let now = difference(position[other as usize], position[k]);
-            xx += rest[0] * rest[0];
-            xy += rest[0] * rest[1];
-            yy += rest[1] * rest[1];
-            for (row, now) in moment.iter_mut().zip(now) {
-                row[0] += now * rest[0];
-                row[1] += now * rest[1];
+            for (row, (along, now)) in (0..D).zip(rest.into_iter().zip(now)) {
+                for (column, rest) in rest.into_iter().enumerate() {
+                    rests[row][column] += along * rest;
+                    moments[row][column] += now * rest;
+                }
             }
         }
-        let determinant = xx * yy - xy * xy;
-        if determinant <= MIN_FLATNESS * (xx + yy) * (xx + yy) {
-            return [f32::NAN; 3];
-        }
-        let [[a, b], [c, d]] = moment.map(|[along_x, along_y]| {
-            let first = (along_x * yy - along_y * xy) / determinant;
-            [first, (along_y * xx - along_x * xy) / determinant]
+        let cofactor: [[f32; D]; D] =
+            array::from_fn(|row| array::from_fn(|column| cofactor(&rests, row, column)));
+        let determinant = (0..D).map(|k| rests[0][k] * cofactor[0][k]).sum::<f32>();
+        let trace: f32 = (0..D).map(|k| rests[k][k]).sum();
+        let is_flat = determinant <= (0..D).fold(MIN_FLATNESS, |least, _| least * trace);
+        // Of a symmetric matrix, whose inverse is that of its cofactors over its determinant.
+        let gradient = moments.map(|moment| {
+            cofactor.map(|of| (0..D).map(|k| moment[k] * of[k]).sum::<f32>() / determinant)
         });
-        [0.5 * (a * a + c * c - 1.0), 0.5 * (b * b + d * d - 1.0), 0.5 * (a * b + c * d)]
+        strain_components::<D>().iter().map(move |&(_, [a, b])| {
+            let product: f32 = gradient.iter().map(|row| row[a] * row[b]).sum();
+            let unit = if a == b { 1.0 } else { 0.0 };
+            if is_flat { f32::NAN } else { 0.5 * (product - unit) }
+        })
+    }
+}
+
+/// What the element of a matrix is multiplied with in its determinant.
+fn cofactor<const D: usize>(of: &[[f32; D]; D], row: usize, column: usize) -> f32 {
+    let [[a, b], [c, d]] =
+        [1, 2].map(|down| [1, 2].map(|right| of[(row + down) % D][(column + right) % D]));
+    match D {
+        2 if row == column => a,
+        2 => -a,
+        _ => a * d - b * c,
     }
 }
 
 /// The sum of a kernel over the particles around each, itself included.
-fn kernel_sums(position: &[[f32; 2]], radius: f32) -> Vec<f32> {
+fn kernel_sums<const D: usize>(position: &[[f32; D]], radius: f32) -> Vec<f32> {
     let cells = Cells::new(position, radius);
-    let sum = |&at: &[f32; 2]| {
+    let sum = |&at: &[f32; D]| {
         let of_cell = |(cell, weight): (&[u32], f32)| {
             let of = |&other: &u32| {
                 let ratio = squared(difference(position[other as usize], at)) / (radius * radius);
@@ -125,14 +154,14 @@ fn kernel_sums(position: &[[f32; 2]], radius: f32) -> Vec<f32> {
     position.iter().map(sum).collect()
 }
 
-/// Particles by square cell.
-struct Cells {
+/// Particles by square or cubic cell.
+struct Cells<const D: usize> {
     width: f32,
-    cells: HashMap<[i32; 2], Vec<u32>>,
+    cells: HashMap<[i32; D], Vec<u32>>,
 }
 
-impl Cells {
-    fn new(position: &[[f32; 2]], width: f32) -> Self {
+impl<const D: usize> Cells<D> {
+    fn new(position: &[[f32; D]], width: f32) -> Self {
         let mut cells = Self { width, cells: HashMap::new() };
         for (k, &at) in position.iter().enumerate() {
             cells.cells.entry(cells.cell(at)).or_default().push(k as u32);
@@ -141,29 +170,31 @@ impl Cells {
     }
 
     /// The cast saturates.
-    fn cell(&self, at: [f32; 2]) -> [i32; 2] {
+    fn cell(&self, at: [f32; D]) -> [i32; D] {
         at.map(|x| (x / self.width).floor() as i32)
     }
 
     /// The cells around a position that have particles, and the number that each of at most [`MAX_CANDIDATES`] of its
     /// particles stands for.
-    fn around(&self, at: [f32; 2]) -> impl Iterator<Item = (&[u32], f32)> {
-        let [column, row] = self.cell(at);
-        let offsets = (-1..=1).flat_map(|x| (-1..=1).map(move |y| [x, y]));
-        offsets.filter_map(move |[x, y]| {
-            let cell = self.cells.get(&[column.saturating_add(x), row.saturating_add(y)])?;
+    fn around(&self, at: [f32; D]) -> impl Iterator<Item = (&[u32], f32)> {
+        let own = self.cell(at);
+        let places = 3_i32.pow(D as u32);
+        (0..places).filter_map(move |place| {
+            let offset = |axis| place / 3_i32.pow((D - 1 - axis) as u32) % 3 - 1;
+            let around = array::from_fn(|axis| own[axis].saturating_add(offset(axis)));
+            let cell = self.cells.get(&around)?;
             let counted = cell.len().div_ceil(cell.len().div_ceil(MAX_CANDIDATES));
             Some((&cell[..], cell.len() as f32 / counted as f32))
         })
     }
 }
 
-fn difference(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
-    [a[0] - b[0], a[1] - b[1]]
+fn difference<const D: usize>(a: [f32; D], b: [f32; D]) -> [f32; D] {
+    array::from_fn(|axis| a[axis] - b[axis])
 }
 
-fn squared([x, y]: [f32; 2]) -> f32 {
-    x * x + y * y
+fn squared<const D: usize>(vector: [f32; D]) -> f32 {
+    vector.into_iter().map(|x| x * x).sum()
 }
 
 #[cfg(test)]
@@ -195,12 +226,18 @@ mod tests {
         Reference::new(&lattice(|x| x)).fields(&lattice(deformed))
     }
 
+    fn assert_near<const N: usize>(found: &[f32], expected: [f32; N]) {
+        for (number, expected) in expected.iter().enumerate() {
+            assert!((found[number] - expected).abs() < 1e-3, "{:?}", &found[..N]);
+        }
+    }
+
     #[test]
     fn the_first_frame_has_density_one_and_no_strain() {
         let Fields { density, strain } = fields(|x| x);
         assert!((density[MIDDLE] - 1.0).abs() < 1e-5, "{}", density[MIDDLE]);
         assert!(density[0] < 0.6, "a corner: {}", density[0]);
-        assert!(strain.as_flattened().iter().all(|e| e.abs() < 1e-4));
+        assert!(strain.iter().all(|e| e.abs() < 1e-4));
     }
 
     #[test]
@@ -208,21 +245,53 @@ mod tests {
         let Fields { density, strain } = fields(|[x, y]| [0.8 * x + 0.3, y]);
         assert!((density[MIDDLE] - 1.25).abs() < 0.05, "{}", density[MIDDLE]);
         // (0.8^2 - 1) / 2.
-        for (found, expected) in strain[MIDDLE].into_iter().zip([-0.18, 0.0, 0.0]) {
-            assert!((found - expected).abs() < 1e-3, "{:?}", strain[MIDDLE]);
-        }
+        assert_near(&strain[3 * MIDDLE..], [-0.18, 0.0, 0.0]);
     }
 
     #[test]
     fn a_rotation_is_no_strain_and_a_shear_is() {
         let (sin, cos) = 0.7_f32.sin_cos();
         let turned = fields(|[x, y]| [cos * x - sin * y, sin * x + cos * y]);
-        assert!(turned.strain.as_flattened().iter().all(|e| e.abs() < 1e-3));
+        assert!(turned.strain.iter().all(|e| e.abs() < 1e-3));
         let sheared = fields(|[x, y]| [x + 0.2 * y, y]);
         // F = [[1, 0.2], [0, 1]].
-        for (found, expected) in sheared.strain[MIDDLE].into_iter().zip([0.0, 0.02, 0.1]) {
-            assert!((found - expected).abs() < 1e-3, "{:?}", sheared.strain[MIDDLE]);
-        }
+        assert_near(&sheared.strain[3 * MIDDLE..], [0.0, 0.02, 0.1]);
+    }
+
+    #[test]
+    fn a_block_in_space_is_denser_and_strained_along_all_axes() {
+        const SIDE: usize = 9;
+        let block = |deformed: fn([f32; 3]) -> [f32; 3]| {
+            let place = |k: usize| {
+                [k % SIDE, k / SIDE % SIDE, k / SIDE / SIDE].map(|number| number as f32 * SPACING)
+            };
+            let position: Vec<_> = (0..SIDE.pow(3)).map(|k| deformed(place(k))).collect();
+            Frame {
+                stream: 1,
+                sequence: 0,
+                stamp: Stamp(0),
+                dt: 0.016,
+                domain: Domain { lower: [0.0; 3], upper: [1.0; 3] },
+                velocity: position.clone(),
+                material: vec![Material::Jelly; position.len()],
+                position,
+            }
+        };
+        let rest = block(|x| x);
+        let middle = SIDE.pow(3) / 2;
+        // F = [[1, 0, 0.2], [0, 0.8, 0], [0, 0, 1]].
+        let pressed = block(|[x, y, z]| [x + 0.2 * z, 0.8 * y, z]);
+        let Fields { density, strain } = Reference::new(&rest).fields(&pressed);
+        // In the middle of the block, as a lattice has few particles that its surface does not touch.
+        let at_rest = Reference::new(&rest).fields(&rest).density[middle];
+        assert!((density[middle] / at_rest - 1.25).abs() < 0.05, "{}", density[middle]);
+        assert_near(&strain[6 * middle..], [0.0, -0.18, 0.02, 0.0, 0.0, 0.1]);
+        let turned = block(|[x, y, z]| [0.6 * x - 0.8 * z, y, 0.8 * x + 0.6 * z]);
+        let turned = Reference::new(&rest).fields(&turned);
+        assert!(turned.strain.iter().all(|e| e.abs() < 1e-3));
+        let flat = block(|[x, y, _]| [x, y, 0.0]);
+        let flat = Reference::new(&flat).fields(&rest);
+        assert!(flat.strain.iter().all(|e| e.is_nan()), "neighbours in one plane");
     }
 
     #[test]
@@ -232,10 +301,10 @@ mod tests {
         line.velocity.truncate(SIDE);
         line.material.truncate(SIDE);
         let of_line = Reference::new(&line).fields(&line);
-        assert!(of_line.strain.as_flattened().iter().all(|e| e.is_nan()));
+        assert!(of_line.strain.iter().all(|e| e.is_nan()));
         let fewer = Reference::new(&lattice(|x| x)).fields(&line);
-        assert!(fewer.strain.as_flattened().iter().all(|e| e.is_nan()));
-        assert_eq!((fewer.density.len(), fewer.strain.len()), (SIDE, SIDE));
+        assert!(fewer.strain.iter().all(|e| e.is_nan()));
+        assert_eq!((fewer.density.len(), fewer.strain.len()), (SIDE, 3 * SIDE));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! of its PyTorch ports (geoelements/gns, `gns/data_loader.py`).
 //!
 //! Its loaders read two forms. The common one, an object array per trajectory, is a pickle and neither written
-//! nor read here. The other is one structured array `gns_data` `[S]` with the fields `position` `[T, N, 2]` and
+//! nor read here. The other is one structured array `gns_data` `[S]` with the fields `position` `[T, N, D]` and
 //! `particle_type` `[N]`: plain numbers, with the same `T` and `N` for all trajectories of a file.
 //!
 //! Positions only; velocities are differences between frames.
@@ -31,11 +31,11 @@ const RULE: &str = "without pickles, a GNS file has trajectories of one shape; -
                     the first N frames of each, --stream a single stream";
 
 /// Writes one file of trajectories, frame by frame.
-pub(super) fn write(
-    streams: &Streams,
-    tracks: &[&Track],
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
+    tracks: &[&Track<D>],
     path: &Path,
-    mut statistics: Option<&mut Statistics>,
+    mut statistics: Option<&mut Statistics<D>>,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     let first = tracks[0];
@@ -53,7 +53,7 @@ pub(super) fn write(
         }
     }
     let mut archive = ArchiveWriter::create(path)?;
-    archive.begin(DATA, record(first.frames, first.particles()), &[tracks.len()])?;
+    archive.begin(DATA, record([first.frames, first.particles(), D]), &[tracks.len()])?;
     for track in tracks {
         if let Some(statistics) = &mut statistics {
             statistics.begin_trajectory();
@@ -72,7 +72,7 @@ pub(super) fn write(
 }
 
 /// Element type of the array: one trajectory.
-fn record(frames: usize, particles: usize) -> DType {
+fn record(position: [usize; 3]) -> DType {
     let plain = |text: &str| {
         let text = text.parse().expect("a valid NumPy type string");
         Box::new(DType::Plain(text))
@@ -83,8 +83,8 @@ fn record(frames: usize, particles: usize) -> DType {
     };
     let field = |name: &str, dtype| Field { name: name.into(), dtype };
     DType::Record(vec![
-        field("position", extents(&[frames, particles, 2], plain("<f4"))),
-        field("particle_type", extents(&[particles], plain("<i8"))),
+        field("position", extents(&position, plain("<f4"))),
+        field("particle_type", extents(&position[1..2], plain("<i8"))),
     ])
 }
 

@@ -1,5 +1,5 @@
 //! The data sets of LagrangeBench: HDF5 files `train.h5`, `valid.h5`, `test.h5` with a group per trajectory,
-//! `00000/position` `[T, N, 2]` (gzip) and `00000/particle_type` `[N]`, beside `metadata.json`
+//! `00000/position` `[T, N, D]` (gzip) and `00000/particle_type` `[N]`, beside `metadata.json`
 //! (tumaer/lagrangebench, `data_gen/lagrangebench_data/gen_dataset.py` and `lagrangebench/data/data.py`).
 //!
 //! Positions only, as in [`super::gns`]. All trajectories of a file have the same `T`; `N` may differ. One
@@ -29,11 +29,11 @@ const RULE: &str = "LagrangeBench needs trajectories of equal length with a cons
                     particles; --frames N selects the first N frames of each";
 
 /// Writes one file of trajectories, one after the other.
-pub(super) fn write(
-    streams: &Streams,
-    tracks: &[&Track],
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
+    tracks: &[&Track<D>],
     path: &Path,
-    mut statistics: Option<&mut Statistics>,
+    mut statistics: Option<&mut Statistics<D>>,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
     for track in tracks {
@@ -67,11 +67,16 @@ pub(super) fn write(
     file.close().map_err(failed)
 }
 
-fn write_group(group: &Group, position: &[f32], types: &[i64], track: &Track) -> hdf5::Result<()> {
-    let shape = [track.frames, track.particles(), 2];
+fn write_group<const D: usize>(
+    group: &Group,
+    position: &[f32],
+    types: &[i64],
+    track: &Track<D>,
+) -> hdf5::Result<()> {
+    let shape = [track.frames, track.particles(), D];
     let builder = group.new_dataset::<f32>().shape(shape);
     let dataset = if hdf5::filters::deflate_available() {
-        builder.chunk([1, shape[1], 2]).deflate(GZIP).create("position")?
+        builder.chunk([1, shape[1], D]).deflate(GZIP).create("position")?
     } else {
         builder.create("position")?
     };

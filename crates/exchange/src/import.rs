@@ -141,12 +141,24 @@ impl Bags<'_, '_> {
         let bag = self.directory.join(format!("stream_{stream:04}"));
         let mut writer = BagWriter::create(&bag, WriterOptions::default())?;
         writer.extend_custom_data(trajectory.custom_data(self.overrides));
-        let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
-        trajectory.frames_with(stream, self.overrides, |frame| {
-            writer.write_stamped(topic, frame.stamp, &frame.to_cdr())?;
-            if (self.progress)() { Ok(()) } else { Err(ExchangeError::Interrupted) }
-        })?;
+        match trajectory.dimension() {
+            3 => self.write_frames::<3>(trajectory, stream, &mut writer)?,
+            _ => self.write_frames::<2>(trajectory, stream, &mut writer)?,
+        }
         writer.finish()?;
         Ok(())
+    }
+
+    fn write_frames<const D: usize>(
+        &mut self,
+        trajectory: RawTrajectory,
+        stream: u64,
+        writer: &mut BagWriter,
+    ) -> Result<(), ExchangeError> {
+        let topic = writer.topic(TRUTH_TOPIC, ParticleFrame::TYPE)?;
+        trajectory.frames_with::<D>(stream, self.overrides, |frame| {
+            writer.write_stamped(topic, frame.stamp, &frame.to_cdr())?;
+            if (self.progress)() { Ok(()) } else { Err(ExchangeError::Interrupted) }
+        })
     }
 }

@@ -1,17 +1,19 @@
 //! `metadata.json` of learned simulators: GNS (`learning_to_simulate`, `gns`) and LagrangeBench
 //! (`data_gen/lagrangebench_data/gen_dataset.py`). Each ignores the keys of the other.
 
-use std::{fmt, fs, path::Path};
+use std::{array, fmt, fs, path::Path};
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{error::ExchangeError, streams::Track};
-use eddy_frames::{Domain, Frame, decimal};
+use eddy_frames::{AnyDomain, Domain, Frame, decimal};
 
-/// Neighbours within the connectivity radius: those on a square grid with LagrangeBench's radius of 1.45
-/// spacings.
-const NEIGHBOURS: usize = 8;
+/// Neighbours within the connectivity radius: those on a square or cubic grid with LagrangeBench's radius of 1.45
+/// spacings, along one axis or diagonally along two.
+const fn neighbours<const D: usize>() -> usize {
+    2 * D + 2 * D * (D - 1)
+}
 
 /// LagrangeBench's connectivity radius (particle spacings).
 const RADIUS: f64 = 1.45;
@@ -32,8 +34,8 @@ pub(super) struct Metadata {
     dt: f64,
     write_every: usize,
     /// `[axis][lower, upper]`.
-    bounds: [[f64; 2]; 2],
-    periodic_boundary_conditions: [bool; 2],
+    bounds: Vec<[f64; 2]>,
+    periodic_boundary_conditions: Vec<bool>,
     /// Typical distance between neighbours in the first frame.
     dx: f64,
     default_connectivity_radius: f64,
@@ -44,10 +46,10 @@ pub(super) struct Metadata {
     num_trajs_train: usize,
     sequence_length_test: usize,
     num_trajs_test: usize,
-    vel_mean: [f64; 2],
-    vel_std: [f64; 2],
-    acc_mean: [f64; 2],
-    acc_std: [f64; 2],
+    vel_mean: Vec<f64>,
+    vel_std: Vec<f64>,
+    acc_mean: Vec<f64>,
+    acc_std: Vec<f64>,
 }
 
 /// Contents needed to read positions.
@@ -61,13 +63,13 @@ pub(super) struct Scale {
 
 impl Metadata {
     /// Describes a data set of the streams `all` (at least one), with its parts `train` and `test`.
-    pub(super) fn new(
-        all: &[&Track],
-        train: &[&Track],
-        test: &[&Track],
-        statistics: &Statistics,
+    pub(super) fn new<const D: usize>(
+        all: &[&Track<D>],
+        train: &[&Track<D>],
+        test: &[&Track<D>],
+        statistics: &Statistics<D>,
     ) -> Self {
-        let shortest = |tracks: &[&Track]| {
+        let shortest = |tracks: &[&Track<D>]| {
             tracks.iter().map(|track| track.frames - 1).min().unwrap_or_default()
         };
         let first = all[0];
@@ -79,11 +81,11 @@ impl Metadata {
         Self {
             case: "MPM",
             solver: "MPM",
-            dim: 2,
+            dim: D,
             dt: decimal(first.dt),
             write_every: 1,
-            bounds: [bound(0), bound(1)],
-            periodic_boundary_conditions: [false; 2],
+            bounds: (0..D).map(bound).collect(),
+            periodic_boundary_conditions: vec![false; D],
             dx: radius / RADIUS,
             default_connectivity_radius: radius,
             num_particles_max: all.iter().map(|track| track.particles()).max().unwrap_or_default(),
@@ -92,10 +94,10 @@ impl Metadata {
             num_trajs_train: train.len(),
             sequence_length_test: shortest(test),
             num_trajs_test: test.len(),
-            vel_mean,
-            vel_std,
-            acc_mean,
-            acc_std,
+            vel_mean: vel_mean.to_vec(),
+            vel_std: vel_std.to_vec(),
+            acc_mean: acc_mean.to_vec(),
+            acc_std: acc_std.to_vec(),
         }
     }
 
@@ -150,12 +152,11 @@ impl Scale {
         self.dt * self.write_every.unwrap_or(1.0)
     }
 
-    /// The domain, if it has two dimensions.
-    pub(super) fn domain(&self) -> Option<Domain> {
-        match self.bounds.as_slice() {
-            &[x, y] => Some(Domain { lower: [x[0], y[0]], upper: [x[1], y[1]] }),
-            _ => None,
-        }
+    /// The domain, if it has two or three dimensions.
+    pub(super) fn domain(&self) -> Option<AnyDomain> {
+        let (lower, upper): (Vec<f32>, Vec<f32>) =
+            self.bounds.iter().map(|&[lower, upper]| (lower, upper)).unzip();
+        AnyDomain::of_corners(&lower, &upper)
     }
 }
 
@@ -214,29 +215,29 @@ impl Fields<'_> {
 
 /// Statistics of velocities and accelerations of the training part.
 #[derive(Debug, Default)]
-pub(super) struct Statistics {
-    velocity: Moments,
-    acceleration: Moments,
+pub(super) struct Statistics<const D: usize> {
+    velocity: Moments<D>,
+    acceleration: Moments<D>,
     radius: f64,
-    last: Option<Last>,
+    last: Option<Last<D>>,
 }
 
 /// The last frame of a trajectory.
 #[derive(Debug)]
-struct Last {
-    position: Vec<[f32; 2]>,
+struct Last<const D: usize> {
+    position: Vec<[f32; D]>,
     /// Differences from the previous frame; `None` for the first frame.
-    velocity: Option<Vec<[f32; 2]>>,
+    velocity: Option<Vec<[f32; D]>>,
 }
 
-impl Statistics {
+impl<const D: usize> Statistics<D> {
     /// Starts another trajectory.
     pub(super) fn begin_trajectory(&mut self) {
         self.last = None;
     }
 
     /// Adds the next frame of the trajectory.
-    pub(super) fn add(&mut self, frame: &Frame) {
+    pub(super) fn add(&mut self, frame: &Frame<D>) {
         if self.radius == 0.0 {
             self.radius = connectivity_radius(&frame.position);
         }
@@ -253,19 +254,26 @@ impl Statistics {
     }
 }
 
-fn differences(before: &[[f32; 2]], after: &[[f32; 2]]) -> Vec<[f32; 2]> {
-    before.iter().zip(after).map(|(a, b)| [b[0] - a[0], b[1] - a[1]]).collect()
+fn differences<const D: usize>(before: &[[f32; D]], after: &[[f32; D]]) -> Vec<[f32; D]> {
+    let pairs = before.iter().zip(after);
+    pairs.map(|(a, b)| array::from_fn(|axis| b[axis] - a[axis])).collect()
 }
 
-#[derive(Debug, Default)]
-struct Moments {
+#[derive(Debug)]
+struct Moments<const D: usize> {
     count: f64,
-    sum: [f64; 2],
-    squares: [f64; 2],
+    sum: [f64; D],
+    squares: [f64; D],
 }
 
-impl Moments {
-    fn add(&mut self, vectors: &[[f32; 2]]) {
+impl<const D: usize> Default for Moments<D> {
+    fn default() -> Self {
+        Self { count: 0.0, sum: [0.0; D], squares: [0.0; D] }
+    }
+}
+
+impl<const D: usize> Moments<D> {
+    fn add(&mut self, vectors: &[[f32; D]]) {
         self.count += vectors.len() as f64;
         for vector in vectors {
             for (axis, &x) in vector.iter().enumerate() {
@@ -275,28 +283,30 @@ impl Moments {
         }
     }
 
-    fn mean_and_deviation(&self) -> ([f64; 2], [f64; 2]) {
+    fn mean_and_deviation(&self) -> ([f64; D], [f64; D]) {
         let mean = self.sum.map(|sum| sum / self.count.max(1.0));
         let deviation = |axis: usize| {
             let variance = self.squares[axis] / self.count.max(1.0) - mean[axis].powi(2);
             let deviation = variance.max(0.0).sqrt();
             if deviation < SMALLEST_DEVIATION { 1.0 } else { deviation }
         };
-        (mean, [deviation(0), deviation(1)])
+        (mean, array::from_fn(deviation))
     }
 }
 
-/// The median distance to the eighth neighbour, rounded up to two significant digits.
-fn connectivity_radius(position: &[[f32; 2]]) -> f64 {
+/// The median distance to the last of the [`neighbours`], rounded up to two significant digits.
+fn connectivity_radius<const D: usize>(position: &[[f32; D]]) -> f64 {
     let step = position.len().div_ceil(SAMPLES);
     let mut radii: Vec<f64> = position
         .iter()
         .step_by(step)
         .map(|a| {
-            let squared = |b: &[f32; 2]| f64::from((b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2));
+            let squared = |b: &[f32; D]| {
+                f64::from((0..D).map(|axis| (b[axis] - a[axis]).powi(2)).sum::<f32>())
+            };
             let mut distances: Vec<f64> = position.iter().map(squared).collect();
             // Rank 0 is the particle itself.
-            let rank = NEIGHBOURS.min(distances.len() - 1);
+            let rank = neighbours::<D>().min(distances.len() - 1);
             distances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
         })
         .collect();
@@ -324,7 +334,7 @@ mod tests {
         let flat = scale(one).unwrap();
         assert_eq!(flat.interval(), 0.0025);
         let domain = Domain { lower: [0.1, 0.1], upper: [0.9, 0.8] };
-        assert_eq!(flat.domain(), Some(domain));
+        assert_eq!(flat.domain(), Some(domain.into()));
         for nested in [
             format!(r#"{{"train": {one}, "rollout": {one}}}"#),
             format!(r#"{{"train": {one}}}"#),
@@ -366,11 +376,15 @@ mod tests {
             (0..900).map(|i| [(i % 30) as f32 * spacing, (i / 30) as f32 * spacing]).collect();
         assert_eq!(connectivity_radius(&grid), 0.015);
         assert_eq!(connectivity_radius(&[[0.5, 0.5]]), 0.0);
+        let cubic: Vec<_> = (0..10)
+            .flat_map(|z| grid.iter().map(move |&[x, y]| [x, y, z as f32 * spacing]))
+            .collect();
+        assert_eq!(connectivity_radius(&cubic), 0.015);
     }
 
     #[test]
     fn statistics_are_of_differences_between_frames() {
-        let mut statistics = Statistics::default();
+        let mut statistics = Statistics::<2>::default();
         // x = t^2 for one particle, at rest for the other: velocities 1, 3 and 0, 0.
         for t in 0..3u8 {
             let x = f32::from(t).powi(2);

@@ -1,6 +1,6 @@
-//! eddy's own arrays: `position` `[T, N, 2]`, `velocity` `[T, N, 2]`, `material` `[N]` (`[T, N]`
-//! where it changes), `stamp` `[T]` (ns), `sequence` `[T]`, `dt` `[]` (s), `lower` `[2]`,
-//! `upper` `[2]`, `stream` `[]`, and if they are known `stiffness` `[]` (density x velocity^2) and `gravity` `[]` (along y, domain
+//! eddy's own arrays: `position` `[T, N, D]`, `velocity` `[T, N, D]`, `material` `[N]` (`[T, N]`
+//! where it changes), `stamp` `[T]` (ns), `sequence` `[T]`, `dt` `[]` (s), `lower` `[D]`,
+//! `upper` `[D]`, `stream` `[]`, and if they are known `stiffness` `[]` (density x velocity^2) and `gravity` `[]` (along y, domain
 //! lengths per s^2).
 //!
 //! One file per stream, which is collected in memory because an array has the values of all frames.
@@ -11,7 +11,7 @@ use super::{
     arrays::{Archive, ArchiveWriter},
     error::ExchangeError,
     streams::{Progress, Streams, Track},
-    trajectory::{RawTrajectory, Types},
+    trajectory::{POSITION, RawTrajectory, Types},
 };
 use eddy_bag::{BagReader, custom_data::Quantity};
 use eddy_dataset::{quantity_of_stream, simulate::ScenesBeside};
@@ -25,9 +25,9 @@ const RULE: &str = "an .npz file has arrays of one shape, one dt and one domain;
                     vtu, ply and csv can represent streams that change";
 
 /// Writes one stream. `scenes` are those beside its bag, if that does not state the quantities of its matter.
-pub(super) fn write(
-    streams: &Streams,
-    track: &Track,
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
+    track: &Track<D>,
     path: &Path,
     scenes: &mut ScenesBeside,
     progress: &mut Progress<'_>,
@@ -59,14 +59,14 @@ pub(super) fn write(
     let material_shape =
         if track.material_varies { vec![frames, particles] } else { vec![particles] };
     let mut archive = ArchiveWriter::create(path)?;
-    archive.array("position", &[frames, particles, 2], position)?;
-    archive.array("velocity", &[frames, particles, 2], velocity)?;
+    archive.array("position", &[frames, particles, D], position)?;
+    archive.array("velocity", &[frames, particles, D], velocity)?;
     archive.array("material", &material_shape, material)?;
     archive.array("stamp", &[frames], stamp)?;
     archive.array("sequence", &[frames], sequence)?;
     archive.array("dt", &[], [track.dt])?;
-    archive.array("lower", &[2], track.domain.lower)?;
-    archive.array("upper", &[2], track.domain.upper)?;
+    archive.array("lower", &[D], track.domain.lower)?;
+    archive.array("upper", &[D], track.domain.upper)?;
     archive.array("stream", &[], [track.stream])?;
     for (name, value) in stated {
         if let Some(value) = value {
@@ -86,7 +86,7 @@ pub(super) fn read(path: &Path) -> Result<RawTrajectory, ExchangeError> {
             path: path.into(),
             array: "position".into(),
             found,
-            expected: "an array position [frames, particles, 2]".into(),
+            expected: format!("an array position {POSITION}"),
         });
     };
     let mut trajectory = RawTrajectory::new(path, position)?;

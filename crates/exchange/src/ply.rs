@@ -1,4 +1,4 @@
-//! Binary PLY, one file per frame: vertices `x y z vx vy vz` (z = 0) and `material`.
+//! Binary PLY, one file per frame: vertices `x y z vx vy vz` (z = 0 in the plane) and `material`.
 //!
 //! Format: G. Turk, "The PLY Polygon File Format" (1994).
 
@@ -10,13 +10,14 @@ use std::{
 
 use super::{
     error::ExchangeError,
+    point_data::spatial,
     streams::{Progress, Streams},
 };
 use eddy_frames::Frame;
 
 /// Writes `stream_0007/000000.ply` and so on into the directory.
-pub(super) fn write(
-    streams: &Streams,
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
     directory: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
@@ -35,7 +36,7 @@ pub(super) fn write(
     Ok(())
 }
 
-fn vertices(mut file: impl Write, frame: &Frame) -> io::Result<()> {
+fn vertices<const D: usize>(mut file: impl Write, frame: &Frame<D>) -> io::Result<()> {
     write!(
         file,
         "ply\nformat binary_little_endian 1.0\n\
@@ -52,8 +53,8 @@ fn vertices(mut file: impl Write, frame: &Frame) -> io::Result<()> {
     }
     write!(file, "property uchar material\nend_header\n")?;
     for particle in 0..frame.len() {
-        let ([x, y], [vx, vy]) = (frame.position[particle], frame.velocity[particle]);
-        for number in [x, y, 0.0, vx, vy, 0.0] {
+        let vectors = [frame.position[particle], frame.velocity[particle]].map(spatial);
+        for number in vectors.as_flattened() {
             file.write_all(&number.to_le_bytes())?;
         }
         file.write_all(&[frame.material[particle] as u8])?;

@@ -9,7 +9,7 @@ use super::{
     streams::{Progress, Streams, Track},
 };
 use eddy_bag::BagReader;
-use eddy_frames::Frame;
+use eddy_frames::{Frame, distance};
 
 /// One property of all particles of a frame.
 pub(super) struct PointArray {
@@ -23,27 +23,27 @@ pub(super) enum Values {
     Scalar(Vec<f32>),
     /// Along x, y and z.
     Vector(Vec<[f32; 3]>),
-    /// xx, yy and xy.
-    Tensor(Vec<[f32; 3]>),
+    /// Symmetric, with the components of [`strain_components`].
+    Tensor(Vec<f32>),
 }
 
 /// Calls `each` with every frame of a stream and its properties, in order. `truth` has the frames to compare with.
 ///
 /// # Errors
 /// Those of `each`, [`ExchangeError::Bag`] and [`ExchangeError::Interrupted`].
-pub(super) fn read(
-    streams: &Streams,
-    track: &Track,
-    truth: Option<&Streams>,
+pub(super) fn read<const D: usize>(
+    streams: &Streams<D>,
+    track: &Track<D>,
+    truth: Option<&Streams<D>>,
     progress: &mut Progress<'_>,
-    mut each: impl FnMut(&Frame, &[PointArray]) -> Result<(), ExchangeError>,
+    mut each: impl FnMut(&Frame<D>, &[PointArray]) -> Result<(), ExchangeError>,
 ) -> Result<(), ExchangeError> {
     let (mut reference, mut has_no_strain) = (None, false);
     let mut recorded = RecordedProperties::open(&BagReader::open(&track.bag)?, streams.topic())?;
-    let frames: Frames = Box::new(streams.frames_of(track)?);
+    let frames: Frames<D> = Box::new(streams.frames_of(track)?);
     let truth = truth.and_then(|truth| Some((truth, truth.track(track.stream)?)));
     let truth = truth.map(|(truth, track)| truth.frames_of(track)).transpose()?;
-    let truth: Vec<Frames> = truth.into_iter().map(|frames| Box::new(frames) as _).collect();
+    let truth: Vec<Frames<D>> = truth.into_iter().map(|frames| Box::new(frames) as _).collect();
     for row in AlignedFrames::new(frames, truth) {
         let mut row = row?.into_iter();
         let Some(frame) = row.next().flatten() else { continue };
@@ -81,17 +81,17 @@ pub(super) fn read(
     Ok(())
 }
 
-/// A vector in the plane z = 0, where VTK needs three components.
-pub(super) fn spatial([x, y]: [f32; 2]) -> [f32; 3] {
-    [x, y, 0.0]
+/// A vector with the three components that other programs need: z = 0 in the plane.
+pub(super) fn spatial<const D: usize>(vector: [f32; D]) -> [f32; 3] {
+    std::array::from_fn(|axis| vector.get(axis).copied().unwrap_or_default())
 }
 
 /// Distance of every particle from its true position (domain lengths), `[N]`. NaN where there is no true frame of this
 /// sequence number, or one with another number of particles.
-fn errors(frame: &Frame, truth: Option<&Frame>) -> Vec<f32> {
+fn errors<const D: usize>(frame: &Frame<D>, truth: Option<&Frame<D>>) -> Vec<f32> {
     let Some(truth) = truth.filter(|truth| truth.len() == frame.len()) else {
         return vec![f32::NAN; frame.len()];
     };
     let pairs = frame.position.iter().zip(&truth.position);
-    pairs.map(|([x, y], [true_x, true_y])| (x - true_x).hypot(y - true_y)).collect()
+    pairs.map(|(&position, &expected)| distance(position, expected)).collect()
 }

@@ -38,7 +38,10 @@ impl RecordedProperties {
     ///
     /// # Errors
     /// [`ExchangeError::Bag`].
-    pub(super) fn of(&mut self, frame: &Frame) -> Result<[Vec<f32>; 2], ExchangeError> {
+    pub(super) fn of<const D: usize>(
+        &mut self,
+        frame: &Frame<D>,
+    ) -> Result<[Vec<f32>; 2], ExchangeError> {
         if self.current.0 != frame.stamp {
             self.current = (frame.stamp, Vec::new());
         }

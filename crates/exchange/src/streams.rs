@@ -7,7 +7,7 @@ use std::{
 
 use super::error::ExchangeError;
 use eddy_bag::{BagReader, find_bags};
-use eddy_frames::{Domain, Frame, Material, Stamp, decimal};
+use eddy_frames::{AnyFrame, Domain, Frame, Material, Stamp, decimal, distance};
 
 /// Called after each frame; `false` stops the operation with [`ExchangeError::Interrupted`].
 pub type Progress<'a> = dyn FnMut() -> bool + 'a;
@@ -25,9 +25,21 @@ pub struct FrameSelection {
     pub frames: Option<usize>,
 }
 
+impl FrameSelection {
+    /// The number of dimensions of the first frame, as all must have.
+    ///
+    /// # Errors
+    /// [`ExchangeError::Bag`] when the first bag cannot be read, does not have the topic, or begins with an invalid frame.
+    pub fn dimension(&self) -> Result<usize, ExchangeError> {
+        let Some(bag) = find_bags(&self.bags)?.into_iter().next() else { return Ok(2) };
+        let first = BagReader::open(&bag)?.frames_of(&self.topic)?.next().transpose()?;
+        Ok(if let Some(AnyFrame::Three(_)) = first { 3 } else { 2 })
+    }
+}
+
 /// One stream of one bag.
 #[derive(Clone, Debug)]
-pub struct Track {
+pub struct Track<const D: usize = 2> {
     /// The bag.
     pub bag: PathBuf,
     /// Id of the stream.
@@ -41,7 +53,7 @@ pub struct Track {
     /// Time between two frames (s), from the first frame.
     pub dt: f32,
     /// Domain of the first frame.
-    pub domain: Domain,
+    pub domain: Domain<D>,
     /// Materials of the first frame, `[N]`.
     pub material: Vec<Material>,
     /// Whether the materials differ between frames.
@@ -57,8 +69,8 @@ pub struct Track {
 /// Percentile for the top speed of a frame: single fast particles do not determine the color scale.
 const TOP_SPEED_SHARE: f64 = 0.99;
 
-impl Track {
-    fn begin(bag: &Path, frame: &Frame) -> Self {
+impl<const D: usize> Track<D> {
+    fn begin(bag: &Path, frame: &Frame<D>) -> Self {
         Self {
             bag: bag.into(),
             stream: frame.stream,
@@ -75,7 +87,7 @@ impl Track {
         }
     }
 
-    fn follow(&mut self, frame: &Frame) {
+    fn follow(&mut self, frame: &Frame<D>) {
         let at = |what: String| format!("{what} at sequence {}", frame.sequence);
         let mut differ = |field, found: String, expected: String| {
             self.changes.entry(field).or_insert((at(found), expected));
@@ -138,34 +150,34 @@ impl Track {
     }
 }
 
-fn top_speed(frame: &Frame) -> f32 {
-    let mut speeds: Vec<f32> = frame.velocity.iter().map(|[x, y]| x.hypot(*y)).collect();
+fn top_speed<const D: usize>(frame: &Frame<D>) -> f32 {
+    let mut speeds: Vec<f32> = frame.velocity.iter().map(|&v| distance(v, [0.0; D])).collect();
     let rank = ((speeds.len() - 1) as f64 * TOP_SPEED_SHARE) as usize;
     *speeds.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
-/// The streams of bags.
+/// The streams of bags, whose frames have `D` dimensions.
 #[derive(Clone, Debug)]
-pub struct Streams {
+pub struct Streams<const D: usize = 2> {
     topic: String,
     /// Sorted by id.
-    tracks: Vec<Track>,
+    tracks: Vec<Track<D>>,
 }
 
-impl Streams {
+impl<const D: usize> Streams<D> {
     /// Reads every selected frame once.
     ///
     /// # Errors
-    /// [`ExchangeError::Bag`] when a bag cannot be read, does not have the topic, or has an invalid frame; [`ExchangeError::NoStream`], [`ExchangeError::SameStream`],
+    /// [`ExchangeError::Bag`] when a bag cannot be read, does not have the topic, or has an invalid frame or one of another dimension; [`ExchangeError::NoStream`], [`ExchangeError::SameStream`],
     /// [`ExchangeError::TooShort`], [`ExchangeError::Interrupted`].
     pub fn find(
         selection: &FrameSelection,
         progress: &mut Progress<'_>,
     ) -> Result<Self, ExchangeError> {
-        let mut tracks: BTreeMap<u64, Track> = BTreeMap::new();
+        let mut tracks: BTreeMap<u64, Track<D>> = BTreeMap::new();
         let mut present = BTreeMap::new();
         for bag in find_bags(&selection.bags)? {
-            for frame in BagReader::open(&bag)?.frames(&selection.topic)? {
+            for frame in BagReader::open(&bag)?.frames_of::<Frame<D>>(&selection.topic)? {
                 let frame = frame?;
                 if !progress() {
                     return Err(ExchangeError::Interrupted);
@@ -194,7 +206,7 @@ impl Streams {
             let found = present.keys().map(u64::to_string).collect::<Vec<_>>().join(", ");
             return Err(ExchangeError::NoStream { found, wanted });
         }
-        let tracks: Vec<Track> = tracks.into_values().collect();
+        let tracks: Vec<Track<D>> = tracks.into_values().collect();
         if let Some(wanted) = selection.frames
             && let Some(track) = tracks.iter().find(|track| track.frames < wanted)
         {
@@ -205,12 +217,12 @@ impl Streams {
     }
 
     /// The streams, sorted by id.
-    pub fn tracks(&self) -> &[Track] {
+    pub fn tracks(&self) -> &[Track<D>] {
         &self.tracks
     }
 
     /// The stream with this id.
-    pub(super) fn track(&self, stream: u64) -> Option<&Track> {
+    pub(super) fn track(&self, stream: u64) -> Option<&Track<D>> {
         self.tracks.iter().find(|track| track.stream == stream)
     }
 
@@ -230,11 +242,11 @@ impl Streams {
     /// [`ExchangeError::Bag`], also from the iterator.
     pub fn frames_of(
         &self,
-        track: &Track,
-    ) -> Result<impl Iterator<Item = Result<Frame, ExchangeError>> + use<>, ExchangeError> {
+        track: &Track<D>,
+    ) -> Result<impl Iterator<Item = Result<Frame<D>, ExchangeError>> + use<D>, ExchangeError> {
         let (stream, frames) = (track.stream, track.frames);
         let of_stream = BagReader::open(&track.bag)?
-            .frames(&self.topic)?
+            .frames_of::<Frame<D>>(&self.topic)?
             .filter(move |frame| frame.as_ref().map_or(true, |frame| frame.stream == stream));
         Ok(of_stream.take(frames).map(|frame| Ok(frame?)))
     }
@@ -245,9 +257,9 @@ impl Streams {
     /// Those of `each`, [`ExchangeError::Bag`] and [`ExchangeError::Interrupted`].
     pub(super) fn read(
         &self,
-        track: &Track,
+        track: &Track<D>,
         progress: &mut Progress<'_>,
-        mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
+        mut each: impl FnMut(Frame<D>) -> Result<(), ExchangeError>,
     ) -> Result<(), ExchangeError> {
         for frame in self.frames_of(track)? {
             each(frame?)?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{arrays::Array, error::ExchangeError};
 use eddy_bag::custom_data::{CustomData, Quantity};
-use eddy_frames::{Domain, Frame, Material, Stamp};
+use eddy_frames::{AnyDomain, Domain, Frame, Material, Stamp};
 use eddy_messages::UnusableFrame;
 
 /// Values that replace those of a file, or that a file does not have.
@@ -12,8 +12,8 @@ use eddy_messages::UnusableFrame;
 pub struct ImportOverrides {
     /// Time between two frames (s).
     pub dt: Option<f32>,
-    /// Domain of the particles; the unit square if the file has none and all particles are in it.
-    pub domain: Option<Domain>,
+    /// Domain of the particles; the unit square or cube if the file has none and all particles are in it.
+    pub domain: Option<AnyDomain>,
     /// Material of all particles.
     pub material: Option<Material>,
     /// Entries of `custom_data` in the metadata of each bag, among them stiffness and gravity.
@@ -43,15 +43,19 @@ impl Types {
     }
 }
 
-/// The arrays of one stream: `T` frames of `N` particles.
+/// Shape of positions.
+pub(super) const POSITION: &str = "[frames, particles, 2 or 3]";
+
+/// The arrays of one stream: `T` frames of `N` particles in `D` dimensions.
 #[derive(Debug)]
 pub(super) struct RawTrajectory {
     path: PathBuf,
     frames: usize,
     particles: usize,
-    /// `[T, N, 2]`.
+    dimension: usize,
+    /// `[T, N, D]`.
     position: Vec<f32>,
-    /// `[T, N, 2]`.
+    /// `[T, N, D]`.
     pub(super) velocity: Option<Array<f32>>,
     /// `[N]`, `[T, N]` or `[]`, with the meaning of the numbers.
     pub(super) material: Option<(Array<i64>, Types)>,
@@ -61,21 +65,21 @@ pub(super) struct RawTrajectory {
     pub(super) sequence: Option<Array<u64>>,
     /// Time between two frames (s).
     pub(super) dt: Option<f32>,
-    pub(super) domain: Option<Domain>,
+    pub(super) domain: Option<AnyDomain>,
     pub(super) stream: Option<u64>,
     /// What the file says of all matter, as entries of `custom_data`.
     stated: CustomData,
 }
 
 impl RawTrajectory {
-    /// A trajectory of positions, `[T, N, 2]`.
+    /// A trajectory of positions, `[T, N, D]`.
     pub(super) fn new(path: &Path, position: Array<f32>) -> Result<Self, ExchangeError> {
-        let &[frames, particles, 2] = position.shape.as_slice() else {
+        let &[frames, particles, dimension @ (2 | 3)] = position.shape.as_slice() else {
             return Err(ExchangeError::Array {
                 path: path.into(),
                 array: "position".into(),
                 found: format!("shape {:?}", position.shape),
-                expected: "[frames, particles, 2]".into(),
+                expected: POSITION.into(),
             });
         };
         if frames == 0 || particles == 0 {
@@ -90,6 +94,7 @@ impl RawTrajectory {
             path: path.into(),
             frames,
             particles,
+            dimension,
             position: position.values,
             velocity: None,
             material: None,
@@ -151,40 +156,47 @@ impl RawTrajectory {
         &self,
         lower: Option<Array<f32>>,
         upper: Option<Array<f32>>,
-    ) -> Result<Option<Domain>, ExchangeError> {
+    ) -> Result<Option<AnyDomain>, ExchangeError> {
         let (Some(lower), Some(upper)) = (lower, upper) else { return Ok(None) };
-        let corner = |name, array: Array<f32>| {
-            let two = <[f32; 2]>::try_from(array.values);
-            two.map_err(|found| self.fault(name, format!("{found:?}"), "two numbers"))
-        };
-        Ok(Some(Domain { lower: corner("lower", lower)?, upper: corner("upper", upper)? }))
+        for (name, corner) in [("lower", &lower), ("upper", &upper)] {
+            if corner.values.len() != self.dimension {
+                let expected = format!("{} numbers as position has", self.dimension);
+                return Err(self.fault(name, format!("{:?}", corner.values), expected));
+            }
+        }
+        Ok(AnyDomain::of_corners(&lower.values, &upper.values))
+    }
+
+    /// Number of dimensions, 2 or 3.
+    pub(super) fn dimension(&self) -> usize {
+        self.dimension
     }
 
     pub(super) fn frames(&self) -> usize {
         self.frames
     }
 
-    /// Calls `each` for every frame. `overrides` take precedence over the file; missing velocities are backward
+    /// Calls `each` for every frame of this trajectory of `D` dimensions. `overrides` take precedence over the file; missing velocities are backward
     /// differences of the positions (forward for the first frame).
     ///
     /// # Errors
     /// [`ExchangeError::Array`] when an array is missing or has the wrong shape, [`ExchangeError::Frame`] when a
     /// frame cannot be used, and those of `each`.
-    pub(super) fn frames_with(
+    pub(super) fn frames_with<const D: usize>(
         self,
         stream: u64,
         overrides: &ImportOverrides,
-        mut each: impl FnMut(Frame) -> Result<(), ExchangeError>,
+        mut each: impl FnMut(Frame<D>) -> Result<(), ExchangeError>,
     ) -> Result<(), ExchangeError> {
         let dt = self.interval(overrides)?;
         let domain = self.domain(overrides)?;
-        let all = [self.frames, self.particles, 2];
+        let all = [self.frames, self.particles, D];
         self.check_shape("velocity", self.velocity.as_ref(), &[&all])?;
         self.check_shape("stamp", self.stamp.as_ref(), &[&[self.frames]])?;
         self.check_shape("sequence", self.sequence.as_ref(), &[&[self.frames]])?;
         self.check_order("stamp", self.stamp.as_ref())?;
         self.check_order("sequence", self.sequence.as_ref())?;
-        let position: &[[f32; 2]] = self.position.as_chunks().0;
+        let position: &[[f32; D]] = self.position.as_chunks().0;
         for (index, now) in position.chunks_exact(self.particles).enumerate() {
             let velocity = match &self.velocity {
                 Some(velocity) => {
@@ -253,27 +265,36 @@ impl RawTrajectory {
         dt.ok_or_else(|| self.fault("dt", "none".into(), "one in the file, or --dt SECONDS"))
     }
 
-    fn domain(&self, overrides: &ImportOverrides) -> Result<Domain, ExchangeError> {
+    fn domain<const D: usize>(
+        &self,
+        overrides: &ImportOverrides,
+    ) -> Result<Domain<D>, ExchangeError> {
         if let Some(domain) = overrides.domain.or(self.domain) {
-            return Ok(domain);
+            let expected = format!("{D} dimensions as position has");
+            return Domain::try_from(domain)
+                .map_err(|_| self.fault("domain", domain.to_string(), expected));
         }
         let inside = |x: &f32| (0.0..=1.0).contains(x);
         match self.position.iter().find(|x| !inside(x)) {
-            None => Ok(Domain::UNIT),
+            None => Ok(Domain { lower: [0.0; D], upper: [1.0; D] }),
             Some(x) => Err(self.fault(
                 "domain",
-                format!("none, and a coordinate {x} outside the unit square"),
-                "lower and upper in the file, or --domain LEFT BOTTOM RIGHT TOP",
+                format!("none, and a coordinate {x} that is not from 0 to 1"),
+                "lower and upper in the file, bounds in metadata.json, or in the plane --domain LEFT BOTTOM RIGHT TOP",
             )),
         }
     }
 
-    fn differences(&self, index: usize, dt: f32) -> Result<Vec<[f32; 2]>, ExchangeError> {
+    fn differences<const D: usize>(
+        &self,
+        index: usize,
+        dt: f32,
+    ) -> Result<Vec<[f32; D]>, ExchangeError> {
         if self.frames < 2 {
             let expected = "velocities in the file, or at least two frames to take them from";
             return Err(self.fault("velocity", "none, and one frame".into(), expected));
         }
-        let numbers = 2 * self.particles;
+        let numbers = D * self.particles;
         let later = index.max(1) * numbers;
         let (before, after) = self.position[later - numbers..later + numbers].split_at(numbers);
         let velocity: Vec<f32> = before.iter().zip(after).map(|(a, b)| (b - a) / dt).collect();

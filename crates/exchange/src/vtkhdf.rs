@@ -9,9 +9,11 @@
 use std::path::Path;
 
 use hdf5::{Dataset, File, Group, H5Type, types::FixedAscii};
+use ndarray::ArrayView2;
 
 use super::{
     error::ExchangeError,
+    fields::strain_components,
     hdf5::{GZIP, hdf5_error},
     point_data::{self, PointArray, Values, spatial},
     streams::{Progress, Streams, Track},
@@ -28,10 +30,10 @@ type TypeName = FixedAscii<{ TYPE.len() }>;
 const MAX_CHUNK: usize = 1 << 18;
 
 /// Writes one stream.
-pub(super) fn write(
-    streams: &Streams,
-    track: &Track,
-    truth: Option<&Streams>,
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
+    track: &Track<D>,
+    truth: Option<&Streams<D>>,
     path: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
@@ -79,7 +81,7 @@ impl Series {
         let chunk = particles.clamp(1, MAX_CHUNK);
         Ok(Self {
             chunk,
-            points: Rows::vectors(&root, "Points", chunk)?,
+            points: Rows::table(&root, "Points", 3, chunk)?,
             connectivity: Rows::scalars::<i64>(&root, "Connectivity", chunk)?,
             offsets: Rows::scalars::<i64>(&root, "Offsets", chunk)?,
             types: Rows::scalars::<u8>(&root, "Types", chunk)?,
@@ -90,7 +92,7 @@ impl Series {
         })
     }
 
-    fn add(&mut self, frame: &Frame, arrays: &[PointArray]) -> hdf5::Result<()> {
+    fn add<const D: usize>(&mut self, frame: &Frame<D>, arrays: &[PointArray]) -> hdf5::Result<()> {
         let particles = frame.len() as i64;
         if self.parts.last() != Some(&particles) {
             self.parts.push(particles);
@@ -105,13 +107,16 @@ impl Series {
             cell: self.types.count as i64 - particles,
         });
         let position: Vec<_> = frame.position.iter().copied().map(spatial).collect();
-        self.points.append_vectors(&position)?;
+        self.points.append_table(position.as_flattened())?;
         if self.point_data.is_empty() {
             let group = self.root.group("PointData")?;
             let create = |PointArray { name, values }: &PointArray| match values {
                 Values::Byte(_) => Rows::scalars::<u8>(&group, name, self.chunk),
                 Values::Scalar(_) => Rows::scalars::<f32>(&group, name, self.chunk),
-                Values::Vector(_) | Values::Tensor(_) => Rows::vectors(&group, name, self.chunk),
+                Values::Vector(_) => Rows::table(&group, name, 3, self.chunk),
+                Values::Tensor(_) => {
+                    Rows::table(&group, name, strain_components::<D>().len(), self.chunk)
+                }
             };
             self.point_data = arrays.iter().map(create).collect::<hdf5::Result<_>>()?;
         }
@@ -119,7 +124,8 @@ impl Series {
             match values {
                 Values::Byte(values) => rows.append(values)?,
                 Values::Scalar(values) => rows.append(values)?,
-                Values::Vector(values) | Values::Tensor(values) => rows.append_vectors(values)?,
+                Values::Vector(values) => rows.append_table(values.as_flattened())?,
+                Values::Tensor(values) => rows.append_table(values)?,
             }
         }
         Ok(())
@@ -171,9 +177,9 @@ impl Rows {
         Ok(Self { dataset: builder.create(name)?, count: 0 })
     }
 
-    /// Three numbers per row.
-    fn vectors(group: &Group, name: &str, chunk: usize) -> hdf5::Result<Self> {
-        let builder = group.new_dataset::<f32>().shape((0.., 3)).chunk((chunk, 3));
+    /// Numbers in columns.
+    fn table(group: &Group, name: &str, columns: usize, chunk: usize) -> hdf5::Result<Self> {
+        let builder = group.new_dataset::<f32>().shape((0.., columns)).chunk((chunk, columns));
         let builder = if deflates() { builder.shuffle().deflate(GZIP) } else { builder };
         Ok(Self { dataset: builder.create(name)?, count: 0 })
     }
@@ -185,11 +191,14 @@ impl Rows {
         self.dataset.write_slice(values, rows)
     }
 
-    fn append_vectors(&mut self, values: &[[f32; 3]]) -> hdf5::Result<()> {
-        let rows = self.count..self.count + values.len();
+    fn append_table(&mut self, values: &[f32]) -> hdf5::Result<()> {
+        let columns = self.dataset.shape()[1];
+        let values = ArrayView2::from_shape((values.len() / columns, columns), values)
+            .map_err(|error| error.to_string())?;
+        let rows = self.count..self.count + values.nrows();
         self.count = rows.end;
-        self.dataset.resize((rows.end, 3))?;
-        self.dataset.write_slice::<_, f32, _, _>(values, (rows, ..))
+        self.dataset.resize((rows.end, columns))?;
+        self.dataset.write_slice(values, (rows, ..))
     }
 }
 

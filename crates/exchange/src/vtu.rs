@@ -9,6 +9,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 
 use super::{
     error::ExchangeError,
+    fields::strain_components,
     point_data::{self, PointArray, Values, spatial},
     streams::{Progress, Streams},
 };
@@ -18,9 +19,9 @@ use eddy_frames::Frame;
 pub(super) const VERTEX: u8 = 1;
 
 /// Writes `stream_0007.pvd`, `stream_0007/000000.vtu` and so on into the directory.
-pub(super) fn write(
-    streams: &Streams,
-    truth: Option<&Streams>,
+pub(super) fn write<const D: usize>(
+    streams: &Streams<D>,
+    truth: Option<&Streams<D>>,
     directory: &Path,
     progress: &mut Progress<'_>,
 ) -> Result<(), ExchangeError> {
@@ -51,7 +52,7 @@ pub(super) fn write(
 }
 
 /// One frame as the text of a `.vtu` file.
-fn grid(frame: &Frame, arrays: &[PointArray]) -> String {
+fn grid<const D: usize>(frame: &Frame<D>, arrays: &[PointArray]) -> String {
     let particles = frame.len();
     let count = particles as i64;
     let mut text = header("UnstructuredGrid");
@@ -71,6 +72,7 @@ fn grid(frame: &Frame, arrays: &[PointArray]) -> String {
     text.push_str("    <Points>\n");
     let position: Vec<_> = frame.position.iter().copied().map(spatial).collect();
     floats(&mut text, "Points", VECTOR, position.as_flattened());
+    let tensor = tensor_attributes(strain_components::<D>());
     text.push_str("    </Points>\n    <PointData Scalars=\"material\" Vectors=\"velocity\">\n");
     for PointArray { name, values } in arrays {
         match values {
@@ -79,7 +81,7 @@ fn grid(frame: &Frame, arrays: &[PointArray]) -> String {
             }
             Values::Scalar(values) => floats(&mut text, name, "", values),
             Values::Vector(values) => floats(&mut text, name, VECTOR, values.as_flattened()),
-            Values::Tensor(values) => floats(&mut text, name, TENSOR, values.as_flattened()),
+            Values::Tensor(values) => floats(&mut text, name, &tensor, values),
         }
     }
     text.push_str("    </PointData>\n    <Cells>\n");
@@ -93,9 +95,14 @@ fn grid(frame: &Frame, arrays: &[PointArray]) -> String {
 /// Attribute of arrays with three numbers per particle.
 const VECTOR: &str = "NumberOfComponents=\"3\"";
 
-/// Attributes of a symmetric tensor in the plane.
-const TENSOR: &str =
-    "NumberOfComponents=\"3\" ComponentName0=\"xx\" ComponentName1=\"yy\" ComponentName2=\"xy\"";
+/// Attributes of a symmetric tensor with these components.
+fn tensor_attributes(components: &[(&str, [usize; 2])]) -> String {
+    let mut attributes = format!("NumberOfComponents=\"{}\"", components.len());
+    for (number, (name, _)) in components.iter().enumerate() {
+        write!(attributes, " ComponentName{number}=\"{name}\"").expect("a String takes it");
+    }
+    attributes
+}
 
 fn header(kind: &str) -> String {
     format!(

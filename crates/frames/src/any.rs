@@ -52,6 +52,28 @@ impl<const D: usize> From<Domain<D>> for AnyDomain {
     }
 }
 
+impl AnyDomain {
+    /// The domain with these corners; `None` unless both have two or three coordinates.
+    pub fn of_corners(lower: &[f32], upper: &[f32]) -> Option<Self> {
+        if let (Ok(lower), Ok(upper)) = (lower.try_into(), upper.try_into()) {
+            return Some(Domain::<2> { lower, upper }.into());
+        }
+        let (Ok(lower), Ok(upper)) = (lower.try_into(), upper.try_into()) else { return None };
+        Some(Domain::<3> { lower, upper }.into())
+    }
+}
+
+impl<const D: usize> TryFrom<AnyDomain> for Domain<D> {
+    type Error = InvalidFrame;
+
+    fn try_from(AnyDomain { lower, upper }: AnyDomain) -> Result<Self, InvalidFrame> {
+        let found = lower.dimension as usize;
+        let corner = |of: Coordinates| std::array::from_fn(|axis| of.numbers[axis]);
+        let domain = (found == D).then(|| Self { lower: corner(lower), upper: corner(upper) });
+        domain.ok_or_else(|| other(found, D))
+    }
+}
+
 impl fmt::Display for AnyDomain {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { lower, upper } = self;
@@ -89,6 +111,17 @@ impl From<Frame<2>> for AnyFrame {
 impl From<Frame<3>> for AnyFrame {
     fn from(frame: Frame<3>) -> Self {
         Self::Three(frame)
+    }
+}
+
+impl<'a> TryFrom<&'a AnyFrame> for &'a Frame {
+    type Error = InvalidFrame;
+
+    fn try_from(frame: &'a AnyFrame) -> Result<Self, InvalidFrame> {
+        match frame {
+            AnyFrame::Two(frame) => Ok(frame),
+            AnyFrame::Three(_) => Err(other(3, 2)),
+        }
     }
 }
 

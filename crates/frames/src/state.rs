@@ -27,3 +27,8 @@ pub fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f64 {
     let [x, y] = [0, 1].map(|axis| f64::from(a[axis]) - f64::from(b[axis]));
     x * x + y * y
 }
+
+/// |x - x'|.
+pub fn distance<const D: usize>(a: [f32; D], b: [f32; D]) -> f32 {
+    (1..D).fold(a[0] - b[0], |length, axis| length.hypot(a[axis] - b[axis]))
+}

@@ -17,25 +17,43 @@ pub fn run(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Resu
     // Required by the command line.
     let format = args.format.context("--format: expected a format")?;
     format.check()?;
-    let compares = matches!(format, ExportFormat::Vtu | ExportFormat::Vtkhdf);
     ensure_usage!(
-        compares || args.truth.is_none(),
+        compares(format) || args.truth.is_none(),
         "--truth: expected the format vtu or vtkhdf, which have the error of each particle"
     );
+    let choice = FrameSelection {
+        bags: args.bags.clone(),
+        topic: args.topic.clone(),
+        stream: args.stream,
+        frames: args.frames.map(|frames| frames as usize),
+    };
+    match choice.dimension()? {
+        3 => write::<3>(args, format, &choice, quiet, interrupt),
+        _ => write::<2>(args, format, &choice, quiet, interrupt),
+    }
+}
+
+/// Whether files of the format have the distance of each particle from its true position.
+fn compares(format: ExportFormat) -> bool {
+    matches!(format, ExportFormat::Vtu | ExportFormat::Vtkhdf)
+}
+
+/// Writes frames of `D` dimensions.
+fn write<const D: usize>(
+    args: ExportArgs,
+    format: ExportFormat,
+    choice: &FrameSelection,
+    quiet: bool,
+    interrupt: &Interrupt,
+) -> anyhow::Result<()> {
     let stem = stem(&args.bags);
     let inputs: Vec<PathBuf> = args.bags.iter().chain(&args.truth).cloned().collect();
     let truth = match &args.truth {
         Some(truth) => vec![truth.clone()],
-        None if compares && args.topic != TRUTH_TOPIC => with_truth(&args.bags)?,
+        None if compares(format) && args.topic != TRUTH_TOPIC => with_truth(&args.bags)?,
         None => Vec::new(),
     };
-    let choice = FrameSelection {
-        bags: args.bags,
-        topic: args.topic,
-        stream: args.stream,
-        frames: args.frames.map(|frames| frames as usize),
-    };
-    let streams = find_streams(&choice, quiet, interrupt)?;
+    let streams = find_streams::<D>(choice, quiet, interrupt)?;
     let truth = match truth.is_empty() {
         true => None,
         false => Some(find_streams(
@@ -77,7 +95,11 @@ fn with_truth(bags: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 /// Checks that the truth has all streams.
-fn check_streams(path: &Path, truth: &Streams, streams: &Streams) -> anyhow::Result<()> {
+fn check_streams<const D: usize>(
+    path: &Path,
+    truth: &Streams<D>,
+    streams: &Streams<D>,
+) -> anyhow::Result<()> {
     let known: Vec<u64> = truth.tracks().iter().map(|track| track.stream).collect();
     for track in streams.tracks() {
         ensure!(

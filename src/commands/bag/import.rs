@@ -12,7 +12,9 @@ use eddy_frames::Domain;
 /// Writes trajectories from files of other programs as bags.
 pub fn run(args: ImportArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
     let domain = args.domain.as_deref().and_then(|sides| match *sides {
-        [left, bottom, right, top] => Some(Domain { lower: [left, bottom], upper: [right, top] }),
+        [left, bottom, right, top] => {
+            Some(Domain { lower: [left, bottom], upper: [right, top] }.into())
+        }
         _ => None,
     });
     let custom_data = checked_custom_data(&args.custom_data)?;

@@ -78,11 +78,11 @@ fn survey(bag: &BagReader, quiet: bool) -> Survey {
 }
 
 /// Finds the streams of bags, reading them once.
-fn find_streams(
+fn find_streams<const D: usize>(
     choice: &FrameSelection,
     quiet: bool,
     interrupt: &Interrupt,
-) -> Result<Streams, ExchangeError> {
+) -> Result<Streams<D>, ExchangeError> {
     let bar = progress_bar(messages(&choice.bags, &choice.topic)?, "messages", quiet);
     let streams = Streams::find(choice, &mut watch(&bar, interrupt));
     bar.finish_and_clear();

@@ -1,19 +1,22 @@
 //! The distance between neighbouring particles.
 
+use eddy_frames::distance;
+
 /// Largest number of points whose nearest neighbour is searched: enough for the median, and the time stays linear in the
 /// number of points, wherever they are.
 const MAX_SAMPLES: usize = 1000;
 
 /// The median of the distance to the nearest other point (domain lengths), over at most 1,000 evenly chosen points;
 /// infinite for fewer than two points.
-pub fn spacing(points: &[[f32; 2]]) -> f32 {
+pub fn spacing<const D: usize>(points: &[[f32; D]]) -> f32 {
     let extent = |axis: usize| {
         let along = points.iter().map(|point| point[axis]);
         along.clone().fold(f32::NEG_INFINITY, f32::max) - along.fold(f32::INFINITY, f32::min)
     };
-    // Sorted along the longer axis: points in a column would all be close along the other one.
-    let long = usize::from(extent(1) > extent(0));
-    let mut sorted: Vec<[f32; 2]> = points.iter().map(|x| [x[long], x[1 - long]]).collect();
+    // Sorted along the longest axis: points in a column would all be close along the others.
+    let long = (1..D).fold(0, |long, axis| if extent(axis) > extent(long) { axis } else { long });
+    let mut sorted = points.to_vec();
+    sorted.iter_mut().for_each(|point| point.swap(0, long));
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let samples = sorted.len().min(MAX_SAMPLES);
     let at = |sample: usize| sample * sorted.len() / samples;
@@ -27,20 +30,20 @@ pub fn median(mut distances: Vec<f32>) -> f32 {
 }
 
 /// Searches before and after a point in the sorted list until the distance along the sorted axis alone is too large.
-fn nearest(sorted: &[[f32; 2]], at: usize) -> f32 {
-    let [x, y] = sorted[at];
+fn nearest<const D: usize>(sorted: &[[f32; D]], at: usize) -> f32 {
+    let point = sorted[at];
     let mut nearest = f32::INFINITY;
-    for &[u, v] in sorted[..at].iter().rev() {
-        if x - u >= nearest {
+    for &other in sorted[..at].iter().rev() {
+        if point[0] - other[0] >= nearest {
             break;
         }
-        nearest = nearest.min((u - x).hypot(v - y));
+        nearest = nearest.min(distance(other, point));
     }
-    for &[u, v] in &sorted[at + 1..] {
-        if u - x >= nearest {
+    for &other in &sorted[at + 1..] {
+        if other[0] - point[0] >= nearest {
             break;
         }
-        nearest = nearest.min((u - x).hypot(v - y));
+        nearest = nearest.min(distance(other, point));
     }
     nearest
 }
@@ -54,7 +57,9 @@ mod tests {
         let lattice: Vec<_> = (0..60).map(|k| [(k % 9) as f32 * 0.25, (k / 9) as f32]).collect();
         assert_eq!(spacing(&lattice), 0.25);
         assert_eq!(spacing(&[[0.5; 2]]), f32::INFINITY);
-        assert_eq!(spacing(&[]), f32::INFINITY);
+        assert_eq!(spacing::<2>(&[]), f32::INFINITY);
+        let cubic: Vec<_> = lattice.iter().map(|&[x, y]| [0.5 * y, 3.0 * x, 0.25 * y]).collect();
+        assert_eq!(spacing(&cubic), 0.3125f32.sqrt());
         assert_eq!(median(vec![0.3, 0.1, 0.2]), 0.2);
     }
 
