@@ -203,10 +203,8 @@ fn materials(value: &Bound<'_, PyAny>, particles: usize) -> PyResult<Vec<Materia
     let numbers = Argument::<u8>::new("material", value, &[Some(particles)])?;
     let numbers = numbers.as_slice().iter().enumerate();
     let known = |(particle, &number): (usize, &u8)| {
-        Material::try_from(number).map_err(|found| {
-            let place = format!("material[{particle}]");
-            wrong(&place, found, "0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)")
-        })
+        Material::try_from(number)
+            .map_err(|found| invalid(InvalidFrame::Material { particle, found }))
     };
     numbers.map(known).collect()
 }

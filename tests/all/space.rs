@@ -56,7 +56,9 @@ fn a_bag_is_checked_copied_and_shown() {
     assert_eq!(findings(&bag), [] as [&str; 0]);
     let info: serde_json::Value =
         serde_json::from_str(&succeed(["bag", "info", from, "--json"])).unwrap();
-    assert_eq!(info["topics"][0]["streams"][0]["particles"][0], PARTICLES);
+    let stream = &info["topics"][0]["streams"][0];
+    assert_eq!((&stream["particles"][0], &stream["dimension"]), (&PARTICLES.into(), &3.into()));
+    assert!(succeed(["bag", "info", from]).contains("20 in 3-D"));
     succeed(["bag", "cut", from, "--output", to, "--end", "0.2"]);
     assert_eq!(messages(&part), messages(&bag)[..13]);
 }

@@ -6,6 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use eddy_frames::Material;
 use toml::Table;
 
 use crate::documented::spans;
@@ -232,6 +233,28 @@ fn places(text: &str) -> Vec<(&str, &str)> {
         }
     }
     places
+}
+
+/// Where other languages count or list the materials, which the compiler does not see.
+#[test]
+fn materials_are_listed_alike_in_every_language() {
+    let count = Material::COUNT;
+    let list =
+        |entry: fn(Material) -> String, between: &str| Material::ALL.map(entry).join(between);
+    let numbered = list(|material| format!("{} {}", material as u8, material.name()), ", ");
+    let constants = list(
+        |material| format!("uint8 {}={}", material.name().to_uppercase(), material as u8),
+        "\n",
+    );
+    for (file, text) in [
+        ("msgs/eddy_msgs/msg/ParticleFrame.msg", constants),
+        ("crates/node/src/viewer/page/painter.js", format!("uniform vec3 materials[{count}];")),
+        ("crates/node/src/viewer/page/painter.js", format!("min(material, {}u)", count - 1)),
+        ("python/src/frame.rs", numbered),
+    ] {
+        let found = fs::read_to_string(root().join(file)).unwrap();
+        assert!(found.contains(&text), "{file}: expected {text:?}");
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ that rosbags reads from them are the reference. Checks:
    in metadata.json equal those that numpy computes.
 3. Conversely, `eddy bag import` reads files written by numpy (and h5py), and rejects pickles.
 4. Pillow opens the pictures of `eddy bag render`.
+Exports are also checked with the same streams in space, which `eddy bag import` makes of arrays by numpy.
 Exits with 1 and a message if a check fails.
 """
 
@@ -50,19 +51,19 @@ def close(found, expected, what):
 
 
 class Truth:
-    """One stream as rosbags reads it. Position and velocity are [frames, particles, 2]."""
+    """One stream as rosbags reads it. Position and velocity are [frames, particles, 2 or 3]."""
 
     def __init__(self, bag, store):
         with Reader(bag) as reader:
             messages = [store.deserialize_cdr(data, of.msgtype) for of, _, data in reader.messages()]
         first = messages[0]
         self.stream, self.dt, self.material = int(first.stream), first.dt, first.material
-        self.lower, self.upper = first.lower, first.upper
+        self.lower, self.upper, self.dimension = first.lower, first.upper, len(first.lower)
         self.sequence = [message.sequence for message in messages]
         stamps = [message.header.stamp for message in messages]
         self.stamp = [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]
-        self.position = numpy.stack([message.position.reshape(-1, 2) for message in messages])
-        self.velocity = numpy.stack([message.velocity.reshape(-1, 2) for message in messages])
+        self.position = numpy.stack([message.position.reshape(-1, self.dimension) for message in messages])
+        self.velocity = numpy.stack([message.velocity.reshape(-1, self.dimension) for message in messages])
         self.name = f"stream_{self.stream:04}"
 
 
@@ -88,7 +89,8 @@ def check_npz(directory, truths):
         arrays = numpy.load(directory / f"{truth.name}.npz", allow_pickle=False)
         for name in ["position", "velocity", "material", "stamp", "sequence", "dt", "lower", "upper", "stream"]:
             same(arrays[name], getattr(truth, name), f"npz: {truth.name}: {name}")
-        expect(arrays["stiffness"] == 1e3, f"npz: {truth.name}: stiffness: found {arrays['stiffness']}, expected 1e3")
+        if truth.dimension == 2:
+            expect(arrays["stiffness"] == 1e3, f"npz: {truth.name}: stiffness: found {arrays['stiffness']}, expected 1e3")
 
 
 def check_csv(path, truths):
@@ -102,7 +104,8 @@ def check_csv(path, truths):
         expect(int(row["stream"]) == truth.stream and int(row["particle"]) == particle, f"csv: row {number}: {row}")
         expect(row["material"] == MATERIALS[truth.material[particle]], f"csv: row {number}: {row}")
         close(float(row["time"]), truth.stamp[frame] / 1e9, f"csv: row {number}: time")
-        numbers = numpy.array([row[name] for name in ["x", "y", "vx", "vy"]]).astype(numpy.float32)
+        axes = "xyz"[: truth.dimension]
+        numbers = numpy.array([row[name] for name in [*axes, *(f"v{axis}" for axis in axes)]]).astype(numpy.float32)
         same(numbers, [*truth.position[frame, particle], *truth.velocity[frame, particle]], f"csv: row {number}")
 
 
@@ -113,17 +116,18 @@ def check_meshes(directory, truths, ending):
         for frame, file in enumerate(files):
             mesh = meshio.read(file)
             what = f"{ending}: {truth.name}: frame {frame}"
-            same(mesh.points[:, :2], truth.position[frame], f"{what}: points")
+            same(mesh.points[:, : truth.dimension], truth.position[frame], f"{what}: points")
             data = mesh.point_data
             velocity = data["velocity"] if ending == "vtu" else numpy.stack([data[f"v{a}"] for a in "xyz"], axis=1)
-            same(velocity[:, :2], truth.velocity[frame], f"{what}: velocity")
-            expect(not mesh.points[:, 2].any() and not velocity[:, 2].any(), f"{what}: the third axis is not 0")
+            same(velocity[:, : truth.dimension], truth.velocity[frame], f"{what}: velocity")
+            others = [*mesh.points[:, truth.dimension :].flat, *velocity[:, truth.dimension :].flat]
+            expect(not any(others), f"{what}: the third axis is not 0")
             same(data["material"], truth.material, f"{what}: material")
             if ending == "vtu":
                 same(mesh.cells_dict["vertex"].ravel(), range(len(mesh.points)), f"{what}: cells")
                 close(mesh.field_data["TimeValue"], [truth.stamp[frame] / 1e9], f"{what}: time")
                 expect(numpy.isfinite(data["density"]).all(), f"{what}: density")
-                expect(data["strain"].shape == (len(truth.material), 3), f"{what}: strain")
+                expect(data["strain"].shape == (len(truth.material), 3 if truth.dimension == 2 else 6), f"{what}: strain")
                 if frame == 0:
                     close(numpy.median(data["density"]), 1.0, f"{what}: density")
                     expect(abs(numpy.nan_to_num(data["strain"])).max() < 1e-3, f"{what}: strain")
@@ -150,7 +154,7 @@ def check_metadata(directory, truths):
     same(metadata["bounds"], numpy.stack([truth.lower, truth.upper], axis=1), f"{directory.name}: bounds")
     same(metadata["sequence_length"], len(truth.position) - 1, f"{directory.name}: sequence_length")
     same(metadata["num_particles_max"], len(truth.material), f"{directory.name}: num_particles_max")
-    same(metadata["dim"], 2, f"{directory.name}: dim")
+    same(metadata["dim"], truth.dimension, f"{directory.name}: dim")
     expect(0 < metadata["default_connectivity_radius"] < 0.1, f"{directory.name}: default_connectivity_radius")
 
 
@@ -243,7 +247,7 @@ def check_vtkhdf(directory, truths, meshes):
         for frame, time in enumerate(times):
             reader.UpdateTimeStep(time)
             grid, what = reader.GetOutput(), f"vtkhdf: {truth.name}: frame {frame}"
-            same(vtk_to_numpy(grid.GetPoints().GetData())[:, :2], truth.position[frame], f"{what}: points")
+            same(vtk_to_numpy(grid.GetPoints().GetData())[:, : truth.dimension], truth.position[frame], f"{what}: points")
             expect(grid.GetNumberOfCells() == len(truth.material), f"{what}: found {grid.GetNumberOfCells()} cells")
             mesh = meshio.read(meshes / truth.name / f"{frame:06}.vtu")
             for name, values in mesh.point_data.items():
@@ -261,6 +265,40 @@ def check_import_hdf5(program, work, truth, store):
         file.create_dataset("00000/position", data=truth.position, dtype=numpy.float32, compression="gzip")
     eddy(program, "bag", "import", directory, "--format", "hdf5", "--dt", truth.dt, "--output", bags)
     check_imported(program, bags, truth, store, "import hdf5", velocity=False)
+
+
+def lift(program, truths, work, store):
+    """The same streams in space: numpy adds an axis, `eddy bag import` makes bags of the arrays."""
+    arrays, bags = work / "arrays", work / "bags"
+    arrays.mkdir()
+    for truth in truths:
+        depth = numpy.linspace(0.2, 0.4, len(truth.material), dtype=numpy.float32)[None, :, None]
+        position = numpy.concatenate([truth.position, depth + 0.1 * truth.position[:, :, :1]], axis=2)
+        velocity = numpy.concatenate([truth.velocity, 0.1 * truth.velocity[:, :, :1]], axis=2)
+        corners = {"lower": [*truth.lower, 0], "upper": [*truth.upper, 0.75], "stream": truth.stream}
+        others = {name: getattr(truth, name) for name in ["material", "stamp", "sequence", "dt"]}
+        numpy.savez(arrays / f"{truth.name}.npz", position=position, velocity=velocity, **others, **corners)
+    eddy(program, "bag", "import", arrays, "--format", "npz", "--output", bags)
+    lifted = [Truth(bag, store) for bag in sorted(bags.iterdir())]
+    for truth in lifted:
+        stored = numpy.load(arrays / f"{truth.name}.npz")
+        same(truth.position, stored["position"].astype(numpy.float32), f"import npz: {truth.name}: position in space")
+        same(truth.velocity, stored["velocity"].astype(numpy.float32), f"import npz: {truth.name}: velocity in space")
+    return bags, lifted
+
+
+def check_tables_and_meshes(program, bags, truths, work):
+    check_npz(export(program, bags, work, "npz"), truths)
+    check_csv(export(program, bags, work, "csv"), truths)
+    check_meshes(export(program, bags, work, "ply"), truths, "ply")
+    check_meshes(export(program, bags, work, "vtu"), truths, "vtu")
+    check_collections(work / "vtu", truths)
+    check_gns(export(program, bags, work, "gns"), truths)
+
+
+def check_with_hdf5(program, bags, truths, work):
+    check_hdf5(export(program, bags, work, "hdf5"), truths)
+    check_vtkhdf(export(program, bags, work, "vtkhdf"), truths, work / "vtu")
 
 
 def check_pictures(program, bag, work):
@@ -288,12 +326,11 @@ def main():
     expect(len(truths) == len(PARTS), f"{bags}: found {len(truths)} bags, expected {len(PARTS)}")
     with tempfile.TemporaryDirectory() as directory:
         work = Path(directory)
-        check_npz(export(program, bags, work, "npz"), truths)
-        check_csv(export(program, bags, work, "csv"), truths)
-        check_meshes(export(program, bags, work, "ply"), truths, "ply")
-        check_meshes(export(program, bags, work, "vtu"), truths, "vtu")
-        check_collections(work / "vtu", truths)
-        check_gns(export(program, bags, work, "gns"), truths)
+        check_tables_and_meshes(program, bags, truths, work)
+        space = work / "space"
+        space.mkdir()
+        bags_in_space, truths_in_space = lift(program, truths, space, store)
+        check_tables_and_meshes(program, bags_in_space, truths_in_space, space)
         print("npz, csv, ply, vtu, pvd, gns: numpy and meshio read the same as rosbags from the bags")
         check_import_npz(program, work, truths[0], store)
         check_import_gns(program, work, truths[0], store)
@@ -304,9 +341,9 @@ def main():
         if without:
             print("hdf5: skipped, the program was built without it")
         else:
-            check_hdf5(export(program, bags, work, "hdf5"), truths)
+            check_with_hdf5(program, bags, truths, work)
+            check_with_hdf5(program, bags_in_space, truths_in_space, space)
             check_import_hdf5(program, work, truths[0], store)
-            check_vtkhdf(export(program, bags, work, "vtkhdf"), truths, work / "vtu")
             print("hdf5: h5py reads the same as rosbags from the bags, and its files are imported; so does VTK vtkhdf")
         check_pictures(program, sorted(bags.glob("scene_*"))[0], work)
         print("pictures: Pillow opens strips and animations")

@@ -1,5 +1,6 @@
 //! The kernels' text, their arguments, and the constants they are compiled for.
 
+use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{
         Activation, Core, Description, FeatureScaling, Form, FrameOutput, MaterialInput, Pooling,
@@ -111,8 +112,8 @@ fn name_of(declared: &str) -> String {
     name.unwrap_or_else(|| panic!("a kernel without a name: {declared:.80}")).to_owned()
 }
 
-/// Materials that the kernels know, `Material::COUNT` of eddy-frames.
-pub const MATERIALS: usize = 4;
+/// Materials that the kernels know.
+pub const MATERIALS: usize = Material::COUNT;
 /// Axes of space.
 pub const AXES: usize = 2;
 

@@ -13,7 +13,7 @@ use super::{
     point_data::spatial,
     streams::{Progress, Streams},
 };
-use eddy_frames::Frame;
+use eddy_frames::{Frame, Material};
 
 /// Writes `stream_0007/000000.ply` and so on into the directory.
 pub(super) fn write<const D: usize>(
@@ -41,11 +41,12 @@ fn vertices<const D: usize>(mut file: impl Write, frame: &Frame<D>) -> io::Resul
         file,
         "ply\nformat binary_little_endian 1.0\n\
          comment time {} s, stream {}, sequence {}\n\
-         comment material: 0 liquid, 1 snow, 2 jelly, 3 rope\n\
+         comment material: {}\n\
          element vertex {}\n",
         frame.stamp.seconds(),
         frame.stream,
         frame.sequence,
+        Material::numbered(),
         frame.len()
     )?;
     for name in ["x", "y", "z", "vx", "vy", "vz"] {

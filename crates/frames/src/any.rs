@@ -53,6 +53,11 @@ impl<const D: usize> From<Domain<D>> for AnyDomain {
 }
 
 impl AnyDomain {
+    /// Number of dimensions, 2 or 3.
+    pub fn dimension(&self) -> usize {
+        self.lower.dimension as usize
+    }
+
     /// The domain with these corners; `None` unless both have two or three coordinates.
     pub fn of_corners(lower: &[f32], upper: &[f32]) -> Option<Self> {
         if let (Ok(lower), Ok(upper)) = (lower.try_into(), upper.try_into()) {

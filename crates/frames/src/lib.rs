@@ -102,6 +102,29 @@ impl Material {
             Self::Rope => "rope",
         }
     }
+
+    /// Whether it returns to its shape at rest.
+    pub fn keeps_shape(self) -> bool {
+        match self {
+            Self::Jelly | Self::Rope => true,
+            Self::Liquid | Self::Snow => false,
+        }
+    }
+
+    /// All numbers with their names: `0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)`.
+    pub fn numbered() -> impl fmt::Display {
+        fmt::from_fn(|f| {
+            for (number, material) in Self::ALL.into_iter().enumerate() {
+                let between = match Self::COUNT - number {
+                    Self::COUNT => "",
+                    1 => " or ",
+                    _ => ", ",
+                };
+                write!(f, "{between}{number} ({})", material.name())?;
+            }
+            Ok(())
+        })
+    }
 }
 
 impl TryFrom<u8> for Material {

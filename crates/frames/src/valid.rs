@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{AnyDomain, Coordinates, Domain, FrameView, Particles, Stamp, decimal};
+use super::{AnyDomain, Coordinates, Domain, FrameView, Material, Particles, Stamp, decimal};
 
 /// Largest accepted distance of a particle from any wall of its domain (widths or heights of the domain). Solvers leave a
 /// few particles slightly outside.
@@ -38,9 +38,7 @@ pub enum InvalidFrame {
     #[error("{field}[{particle}]: found {found}, expected a finite number")]
     NotFinite { field: &'static str, particle: usize, found: f32 },
     /// A material number is unknown.
-    #[error(
-        "material[{particle}]: found {found}, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)"
-    )]
+    #[error("material[{particle}]: found {found}, expected {}", Material::numbered())]
     Material { particle: usize, found: u8 },
     /// The sequence number has no successor.
     #[error("sequence: found {found}, expected less than the largest 64-bit number")]

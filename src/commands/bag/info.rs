@@ -121,6 +121,8 @@ struct TopicEntry {
 struct StreamEntry {
     stream: u64,
     frames: u64,
+    /// 2 or 3.
+    dimension: usize,
     /// Smallest and largest number of particles of a frame.
     particles: [usize; 2],
     /// Time between two frames (s).
@@ -156,6 +158,7 @@ impl TopicEntry {
         let streams = found.streams.iter().map(|(&stream, found)| StreamEntry {
             stream,
             frames: found.frames,
+            dimension: found.domain.dimension(),
             particles: [found.particles.0, found.particles.1],
             dt: decimal(found.dt),
             restarts: found.restarts,
@@ -186,7 +189,7 @@ fn exact(Stamp(nanoseconds): Stamp) -> String {
     format!("{}.{:09}", nanoseconds / SECOND, nanoseconds % SECOND)
 }
 
-/// Number of streams, range of particles, range of intervals.
+/// Number of streams, range of particles (with the dimension unless it is 2), range of intervals.
 fn streams(topic: &TopicSurvey) -> [String; 3] {
     let streams = || topic.streams.values();
     let Some(first) = streams().next() else { return [(); 3].map(|()| "-".to_owned()) };
@@ -194,11 +197,17 @@ fn streams(topic: &TopicSurvey) -> [String; 3] {
         |low: String, high: String| if low == high { low } else { format!("{low} to {high}") };
     let fewest = streams().map(|stream| stream.particles.0).min().unwrap_or_default();
     let most = streams().map(|stream| stream.particles.1).max().unwrap_or_default();
+    let in_space = streams().filter(|stream| stream.domain.dimension() == 3).count();
+    let dimension = match in_space {
+        0 => "",
+        all if all == topic.streams.len() => " in 3-D",
+        _ => " in 2-D and 3-D",
+    };
     let shortest = streams().map(|stream| stream.dt).fold(first.dt, f32::min);
     let longest = streams().map(|stream| stream.dt).fold(first.dt, f32::max);
     [
         topic.streams.len().to_string(),
-        range(fewest.to_string(), most.to_string()),
+        range(fewest.to_string(), most.to_string()) + dimension,
         range(decimal(shortest).to_string(), decimal(longest).to_string()),
     ]
 }

@@ -31,7 +31,8 @@ impl Program for Constants {
         ];
         let materials = materials.map(|(name, material)| (name, material as usize));
         let numbers = CONSTANTS.map(|(name, number)| (name, number.to_bits() as usize));
-        materials.into_iter().chain(numbers).collect()
+        let count = ("MATERIALS", Material::COUNT);
+        materials.into_iter().chain([count]).chain(numbers).collect()
     }
 }
 

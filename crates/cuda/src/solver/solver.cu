@@ -9,7 +9,7 @@
 // of integers, which have no order: the same bits come out of every run, however particles are sorted, and beside whatever
 // other scenes.
 //
-// Constants: LIQUID, SNOW, JELLY, ROPE (numbers of the materials), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
+// Constants: LIQUID, SNOW, JELLY, ROPE (numbers of the materials), MATERIALS (how many there are), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
 #define TILE 8
 #define MARGIN 2
 #define PATCH (TILE + 2 * MARGIN + 2)
@@ -69,7 +69,7 @@ struct State {
   float4* affine;      // C: xx, xy, yx, yy (1/s)
   float4* deformation; // F: xx, xy, yx, yy
   float* plastic;      // Jp of snow
-  u32* identity;       // index in its scene times 4, and its material; in the order of the solvers the material only
+  u32* identity;       // index in its scene times MATERIALS, and its material; in the order of the solvers the material only
 };
 __device__ __forceinline__ State state_at(float* base, u32 n) {
   return {(float2*)base, (float2*)(base + 2 * (u64)n), (float4*)(base + 4 * (u64)n), (float4*)(base + 8 * (u64)n),
@@ -100,7 +100,7 @@ extern "C" __global__ void __launch_bounds__(256) solver_load(const Scene* __res
   const State to = state_at(base, n), from = state_at(listed, n);
   const u32 p = s.first + k;
   copy_particle(to, p, from, p);
-  to.identity[p] = 4 * k + from.identity[p];
+  to.identity[p] = MATERIALS * k + from.identity[p];
 }
 
 // The same way back.
@@ -196,7 +196,7 @@ extern "C" __global__ void __launch_bounds__(256) solver_move(const Scene* __res
   }
   copy_particle(to, place, from, p);
   to.identity[place] = from.identity[p];
-  places[s.first + (from.identity[p] >> 2)] = place;
+  places[s.first + from.identity[p] / MATERIALS] = place;
 }
 
 __device__ __forceinline__ float clamped(float v, float lowest, float highest) {
@@ -310,7 +310,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
       if (p < end) {
         float2 x = state.position[p], v;
         float4 c, f = state.deformation[p];
-        const u32 identity = state.identity[p], material = identity & 3;
+        const u32 identity = state.identity[p], material = identity % MATERIALS;
         float cell_x, cell_y, wx[3], wy[3];
         int i, j;
         bool inside = true;
@@ -401,7 +401,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
           }
         }
         state.deformation[p] = f;
-        if (!inside) atomicMin(&lost[tile.scene], identity >> 2);
+        if (!inside) atomicMin(&lost[tile.scene], identity / MATERIALS);
       }
       added += THREADS;
       if (scatters && (added == BATCH || first + THREADS >= end)) {

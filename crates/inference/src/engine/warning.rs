@@ -163,8 +163,7 @@ pub fn warnings(description: &Description, setup: &StreamSetup<'_>) -> Vec<Warni
     if found.is_finite() && !(1.0 / SPACING_FACTOR..SPACING_FACTOR).contains(&(found / expected)) {
         warnings.push(Warning::Spacing { found, expected });
     }
-    let solid = |material: &Material| matches!(material, Material::Jelly | Material::Rope);
-    if sequence > 0 && material.iter().any(solid) {
+    if sequence > 0 && material.iter().any(|material| material.keeps_shape()) {
         warnings.push(Warning::RestShape { sequence });
     }
     warnings

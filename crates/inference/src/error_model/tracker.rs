@@ -41,7 +41,7 @@ pub(super) struct Squares {
 #[derive(Clone, Debug)]
 pub struct ErrorTracker {
     ballistic: Ballistic,
-    shares: [f32; 3],
+    shares: [f32; Material::COUNT - 1],
     /// The last observed frame, `[N, 2]` each.
     observed: Motion,
     /// Its ballistic extrapolation.

@@ -107,7 +107,7 @@ impl RestShape {
         let cells = Cells::new(position, material, range);
         let mut shape = Self { first: vec![0], particles: position.len(), ..Self::default() };
         for (particle, material) in material.iter().enumerate() {
-            if keeps_shape(*material) {
+            if material.keeps_shape() {
                 for (link, neighbour, offset) in coefficients(&cells.nearest(particle), range) {
                     shape.links.push(link);
                     shape.neighbours.push(neighbour);
@@ -250,11 +250,6 @@ impl RestShape {
     fn numbers(&self, particle: usize) -> Range<usize> {
         self.first[particle] as usize..self.first[particle + 1] as usize
     }
-}
-
-/// Whether a material has a rest shape.
-fn keeps_shape(material: Material) -> bool {
-    matches!(material, Material::Jelly | Material::Rope)
 }
 
 /// F, row-major, and the bend (spacings at rest).

@@ -22,12 +22,10 @@ use crate::model::GpuOptions;
 use eddy_cuda::{
     device::Device,
     frame::Place,
-    kernels::MATERIALS,
     open_gpu, open_group,
     training::{Batch, GROUP, InTraining, Outcome},
 };
 use eddy_dataset::Trajectory;
-use eddy_frames::Material;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description},
     engine::Surrogate,
@@ -39,9 +37,6 @@ pub(super) use stores::program;
 use stores::{Stores, Validation};
 #[cfg(test)]
 pub(super) use stores::{particle_store, store};
-
-/// Materials as the kernels count them.
-const _: () = assert!(Material::COUNT == MATERIALS);
 
 /// A network that learns on GPUs, each with its part of every batch. Between epochs the run's state on the CPU is brought up
 /// to date.
