@@ -8,7 +8,10 @@
 use std::{collections::BTreeMap, num::NonZeroUsize, sync::Arc};
 
 use eddy_inference::{
-    checkpoint::{Description, Weights},
+    checkpoint::{
+        Description, Weights,
+        plan::{FrameStage, Plan},
+    },
     engine::StreamStart,
 };
 use eddy_threads::{DisjointSlice, Task, ThreadPool};
@@ -56,6 +59,7 @@ pub struct Inference {
     device: Arc<dyn Device>,
     constants: Constants,
     layout: Layout,
+    stages: Vec<FrameStage>,
     motion: Motion,
     weights: List<f32>,
     scaling: List<Scaling>,
@@ -128,6 +132,7 @@ impl Inference {
             threads: copy_threads(None, COPY_THREADS),
             graphs: Graphs::new(SIZES.len()),
             motion: motion(description),
+            stages: Plan::new(description).frame_stages(),
             constants,
             layout,
             device,
@@ -308,7 +313,6 @@ impl Inference {
     fn launch_all(&self, rows: usize) -> Result<()> {
         let particles = self.constants.particles;
         let (wide, layers) = (self.constants.hidden_columns(), self.layout.core.len());
-        let signal = self.signal.pointer();
         self.launch(
             Shape::new(particles.max(layers * wide).div_ceil(256), rows, 256),
             LoadStreams {
@@ -320,18 +324,33 @@ impl Inference {
                 layers: count(layers),
             },
         )?;
-        if self.constants.mean() {
-            self.means(rows)?;
+        self.stages.iter().try_for_each(|&stage| self.stage(stage, rows))
+    }
+
+    fn stage(&self, stage: FrameStage, rows: usize) -> Result<()> {
+        let signal = self.signal.pointer();
+        match stage {
+            FrameStage::Encode => {
+                if self.constants.mean() {
+                    self.means(rows)?;
+                }
+                self.points.as_ref().map_or(Ok(()), |points| self.maxima(points, rows))
+            }
+            FrameStage::Core(layer) => self.core_layer(layer, rows),
+            FrameStage::Mix => {
+                let wide = self.constants.hidden_columns();
+                self.linear(&self.layout.mixer, [signal, signal], wide, true, rows)
+            }
+            FrameStage::Decode => self.decode(signal, rows),
         }
-        if let Some(points) = &self.points {
-            self.maxima(points, rows)?;
-        }
-        (0..layers).try_for_each(|layer| self.core_layer(layer, rows))?;
-        self.linear(&self.layout.mixer, [signal, signal], wide, true, rows)?;
+    }
+
+    /// The predicted frames.
+    fn decode(&self, signal: Pointer<f32>, rows: usize) -> Result<()> {
         let [parts, _] = &self.parts;
         let number = self.product(&self.layout.decoder, signal, parts, rows)?;
         self.launch(
-            Shape::new(particles.div_ceil(256), rows, 256),
+            Shape::new(self.constants.particles.div_ceil(256), rows, 256),
             PredictStreams {
                 parts: parts.pointer(),
                 frames: self.frames.pointer(),

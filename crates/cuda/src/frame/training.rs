@@ -17,7 +17,10 @@ mod update;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use eddy_inference::checkpoint::{Description, Weights};
+use eddy_inference::checkpoint::{
+    Description, Weights,
+    plan::{FrameStage, Plan},
+};
 
 use super::{
     data::{Bodies, Store},
@@ -78,6 +81,7 @@ pub struct Training {
     settings: Settings,
     constants: Constants,
     layout: Layout,
+    stages: Vec<FrameStage>,
     motion: Motion,
     /// Left plus right wall (domain lengths).
     sides: f32,
@@ -229,6 +233,7 @@ impl Training {
             },
             chunks,
             settings: settings.clone(),
+            stages: Plan::new(description).frame_stages(),
             layout,
             constants,
             store,

@@ -1,8 +1,8 @@
 //! A described network as a list of operations, in the order in which they are computed.
 //!
 //! The definition in burn and the passes of training on processors (`eddy-learning`) compute it one operation after the other. The
-//! streaming [`engine`](crate::engine), and for the particle model the kernels for GPUs (`eddy-cuda`), run it in stages, each of which
-//! has the operations that stay in a block of particles or nodes. The frame model on GPUs has kernels of its own order.
+//! streaming [`engine`](crate::engine) and the kernels for GPUs (`eddy-cuda`) run it in stages, each of which has operations between two
+//! waits for all that is computed.
 //!
 //! An operation reads and writes lists of rows. Each list is written once; whether two of them share memory is up to who runs them.
 
@@ -143,6 +143,19 @@ pub enum Stage {
     Decode,
 }
 
+/// The same of the frame model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameStage {
+    /// Features, encoder and pooling over the particles.
+    Encode,
+    /// A layer of the core, from 0.
+    Core(usize),
+    /// The layer between core and decoder.
+    Mix,
+    /// The decoder and the step to the next frame.
+    Decode,
+}
+
 impl Kind {
     /// The linear layer that it has.
     pub fn layer(&self) -> Option<usize> {
@@ -212,6 +225,24 @@ impl Plan {
             }
         };
         self.operations.iter().filter_map(begins).collect()
+    }
+
+    /// The stages of a frame model.
+    pub fn frame_stages(&self) -> Vec<FrameStage> {
+        let begins = |(index, operation): (usize, &Operation)| match operation.kind {
+            Kind::FrameFeatures => Some(FrameStage::Encode),
+            // With the linear layers before it.
+            Kind::Cell { number, .. } => Some(FrameStage::Core(number)),
+            Kind::Linear { .. } if index == self.core.end => Some(FrameStage::Mix),
+            Kind::Advance => Some(FrameStage::Decode),
+            Kind::Linear { .. } | Kind::MeanOfLinear { .. } | Kind::Max => None,
+            Kind::Expect
+            | Kind::ParticleFeatures
+            | Kind::ToNodes
+            | Kind::Convolution { .. }
+            | Kind::ToParticles => unreachable!("an operation of the particle model"),
+        };
+        self.operations.iter().enumerate().filter_map(begins).collect()
     }
 
     /// The lists that the core reads: two with both poolings.

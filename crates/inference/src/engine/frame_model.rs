@@ -4,7 +4,7 @@
 //! particles where the maximum is pooled.
 #![expect(unsafe_code, reason = "threads write to disjoint parts of one slice")]
 
-use std::{cmp::Ordering, collections::BTreeMap, ops::Range};
+use std::{collections::BTreeMap, ops::Range};
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -16,7 +16,7 @@ use super::{
 use crate::{
     checkpoint::{
         Activation, Description, Pooling, Weights,
-        plan::{Kind, Operation, Plan, Rows},
+        plan::{FrameStage, Plan},
     },
     kernels::{activation::Activate, vectors::Lanes},
     ops::{
@@ -113,7 +113,7 @@ impl FrameModel {
             mixer: linear("mixer"),
             activation: description.frame.activation,
             pooling: description.frame.pooling,
-            stages: stages(&Plan::new(description)),
+            stages: stages(&Plan::new(description), description.frame.pooling),
             particles: decoder.output() / 2,
             decoder,
             hidden: description.sizes.hidden,
@@ -213,30 +213,18 @@ impl FrameModel {
     }
 }
 
-/// The stages of the plan's operations.
-fn stages(plan: &Plan) -> Vec<Stage> {
-    let stage = |(index, operation): (usize, &Operation)| match operation.kind {
-        Kind::MeanOfLinear { .. } => vec![Stage::PoolMean],
-        // With the linear layers on particles before it.
-        Kind::Max => vec![Stage::PoolMax, Stage::JoinMax],
-        // With the linear layers before it.
-        Kind::Cell { number, .. } => vec![Stage::Core(number)],
-        Kind::Linear { .. } if plan.lists[operation.writes].rows == Rows::Particles => vec![],
-        Kind::Linear { .. } if plan.core.contains(&index) => vec![],
-        Kind::Linear { .. } => match index.cmp(&plan.core.end) {
-            Ordering::Less => vec![Stage::Encode],
-            Ordering::Equal => vec![Stage::Mix],
-            Ordering::Greater => vec![Stage::Decode],
-        },
-        // Before and after the threads' job.
-        Kind::FrameFeatures | Kind::Advance => vec![],
-        Kind::Expect
-        | Kind::ParticleFeatures
-        | Kind::ToNodes
-        | Kind::Convolution { .. }
-        | Kind::ToParticles => unreachable!("an operation of the particle model"),
+/// The parts of the plan's stages that threads share.
+fn stages(plan: &Plan, pooling: Pooling) -> Vec<Stage> {
+    let (mean, maximum) = ([Stage::PoolMean, Stage::Encode], [Stage::PoolMax, Stage::JoinMax]);
+    let parts = |stage| match (stage, pooling) {
+        (FrameStage::Encode, Pooling::Mean) => mean.to_vec(),
+        (FrameStage::Encode, Pooling::Max) => maximum.to_vec(),
+        (FrameStage::Encode, Pooling::MeanMax) => [mean, maximum].concat(),
+        (FrameStage::Core(number), _) => vec![Stage::Core(number)],
+        (FrameStage::Mix, _) => vec![Stage::Mix],
+        (FrameStage::Decode, _) => vec![Stage::Decode],
     };
-    plan.operations.iter().enumerate().flat_map(stage).collect()
+    plan.frame_stages().into_iter().flat_map(parts).collect()
 }
 
 /// One frame in progress. Each array is written panel by panel in one stage and read in later ones.

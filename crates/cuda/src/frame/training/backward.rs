@@ -1,5 +1,7 @@
 //! The gradients of frames, last frames first.
 
+use eddy_inference::checkpoint::plan::FrameStage;
+
 use crate::{
     device::{List, Pointer, Queue, Shape, count},
     error::Result,
@@ -15,15 +17,20 @@ use super::{LayerMemory, Training, forward::Decoded, maximum::Maximum};
 impl Training {
     /// The gradients of frames `first..first + frames`, and with the first ones the weights' and their change.
     pub(super) fn backward(&self, first: usize, frames: usize) -> Result<()> {
-        let batch = self.settings.batch;
-        let wide = self.constants.hidden_columns();
-        let decoded = self.settings.first_decoded();
-        let Decoded { from, frames: decoded_frames, mixed, d_mixed, output } =
-            self.decoded(first, frames);
-        let rows = decoded_frames * batch;
-        let last = first == 0;
+        self.stages.iter().rev().try_for_each(|&stage| match stage {
+            FrameStage::Decode => self.decoder_backward(first, frames),
+            FrameStage::Mix => self.mixer_backward(first, frames),
+            FrameStage::Core(number) => self.core_backward(number, first, frames),
+            FrameStage::Encode => self.encoder_backward(first, frames),
+        })
+    }
+
+    /// The gradients of the loss, the decoder and the activation before it.
+    fn decoder_backward(&self, first: usize, frames: usize) -> Result<()> {
+        let Decoded { from, frames, mixed, d_mixed, output } = self.decoded(first, frames);
+        let (rows, last) = (frames * self.settings.batch, first == 0);
         self.launch(
-            self.particles(decoded_frames),
+            self.particles(frames),
             LossGradient {
                 states: self.states.pointer(),
                 output: self.output.pointer(),
@@ -39,39 +46,32 @@ impl Training {
                 first: count(from),
             },
         )?;
-        let all_decoded = (self.frames() - decoded) * batch;
-        self.learn(
-            last,
-            &self.layout.decoder,
-            self.mixed.pointer(),
-            self.output.pointer(),
-            all_decoded,
-        )?;
+        let (mixed_all, output_all) = (self.mixed.pointer(), self.output.pointer());
+        self.learn(last, &self.layout.decoder, mixed_all, output_all, self.decoded_rows())?;
         self.backward_product(&self.layout.decoder, output, d_mixed, rows, false)?;
-        self.launch(self.units(decoded_frames), ActivationBackward { d: d_mixed, y: mixed })?;
-        self.change(last, &self.layout.decoder)?;
+        self.launch(self.units(frames), ActivationBackward { d: d_mixed, y: mixed })?;
+        self.change(last, &self.layout.decoder)
+    }
 
-        let top = self.layers.len() - 1;
-        let signal = self.outputs(top).plus(decoded * batch * wide);
-        self.learn(last, &self.layout.mixer, signal, self.d_mixed.pointer(), all_decoded)?;
-        self.backward_product(
-            &self.layout.mixer,
-            d_mixed,
-            self.at(&self.layers[top].gradient, from, wide),
-            rows,
-            false,
-        )?;
-        self.change(last, &self.layout.mixer)?;
+    fn mixer_backward(&self, first: usize, frames: usize) -> Result<()> {
+        let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
+        let Decoded { from, frames, d_mixed, .. } = self.decoded(first, frames);
+        let (top, last) = (self.layers.len() - 1, first == 0);
+        let signal = self.outputs(top).plus(self.settings.first_decoded() * batch * wide);
+        let mixer = &self.layout.mixer;
+        self.learn(last, mixer, signal, self.d_mixed.pointer(), self.decoded_rows())?;
+        let gradient = self.at(&self.layers[top].gradient, from, wide);
+        self.backward_product(mixer, d_mixed, gradient, frames * batch, false)?;
+        self.change(last, mixer)
+    }
 
-        for number in (0..self.layers.len()).rev() {
-            self.core_backward(number, first, frames)?;
-        }
-
-        self.encoder_backward(first, frames)
+    /// Rows of all frames that the decoder runs on.
+    fn decoded_rows(&self) -> usize {
+        (self.frames() - self.settings.first_decoded()) * self.settings.batch
     }
 
     /// The gradients of both Linears before the core, and those by the particles of frames that were predicted.
-    pub(super) fn encoder_backward(&self, first: usize, frames: usize) -> Result<()> {
+    fn encoder_backward(&self, first: usize, frames: usize) -> Result<()> {
         let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
         let (rows, all, last) = (frames * batch, self.frames() * batch, first == 0);
         // The gradient by the second Linear's outputs for the means; that of a pooling by the mean alone is there already.
@@ -141,7 +141,7 @@ impl Training {
     }
 
     /// The gradients of a layer of the core.
-    pub(super) fn core_backward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
+    fn core_backward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
         let (batch, rows, wide) =
             (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());
         let (layer, (matrix, recurrent)) = (&self.layers[number], &self.layout.core[number]);

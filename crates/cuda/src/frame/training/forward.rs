@@ -1,5 +1,7 @@
 //! Frames through the network, and the loss.
 
+use eddy_inference::checkpoint::plan::FrameStage;
+
 use crate::{
     device::{Pointer, Queue, Shape, count},
     error::Result,
@@ -68,23 +70,32 @@ impl Training {
 
     /// Frames `first..first + frames` through the network.
     pub(super) fn forward(&self, first: usize, frames: usize) -> Result<()> {
-        let (batch, wide) = (self.settings.batch, self.constants.hidden_columns());
+        self.stages.iter().try_for_each(|&stage| match stage {
+            FrameStage::Encode => self.encode(first, frames),
+            FrameStage::Core(number) => self.core_forward(number, first, frames),
+            FrameStage::Mix => self.mix(first, frames),
+            FrameStage::Decode => self.decode(first, frames),
+        })
+    }
+
+    fn encode(&self, first: usize, frames: usize) -> Result<()> {
         if self.constants.mean() {
             self.means(first, frames)?;
         }
-        if let Some(maximum) = &self.maximum {
-            self.maxima(maximum, first, frames)?;
-        }
-        let mut signal = self.at(&self.input, first, self.constants.input_columns());
-        for number in 0..self.layers.len() {
-            signal = self.core_forward(number, signal, first, frames)?;
-        }
+        self.maximum.as_ref().map_or(Ok(()), |maximum| self.maxima(maximum, first, frames))
+    }
 
+    fn mix(&self, first: usize, frames: usize) -> Result<()> {
+        let Decoded { from, frames, mixed, .. } = self.decoded(first, frames);
+        let signal = self.outputs(self.layers.len() - 1);
+        let signal = signal.plus(from * self.settings.batch * self.constants.hidden_columns());
+        self.forward_product(&self.layout.mixer, signal, mixed, frames * self.settings.batch)?;
+        self.launch(self.units(frames), ActivationForward { y: mixed })
+    }
+
+    fn decode(&self, first: usize, frames: usize) -> Result<()> {
         let Decoded { from, frames, mixed, output, .. } = self.decoded(first, frames);
-        let rows = frames * batch;
-        let signal = signal.plus((from - first) * batch * wide);
-        self.forward_product(&self.layout.mixer, signal, mixed, rows)?;
-        self.launch(self.units(frames), ActivationForward { y: mixed })?;
+        let rows = frames * self.settings.batch;
         self.forward_product(&self.layout.decoder, mixed, output, rows)?;
         self.launch(
             self.particles(frames),
@@ -116,20 +127,17 @@ impl Training {
         }
     }
 
-    /// A layer of the core; gives where its outputs for these frames are.
-    pub(super) fn core_forward(
-        &self,
-        number: usize,
-        input: Pointer<f32>,
-        first: usize,
-        frames: usize,
-    ) -> Result<Pointer<f32>> {
+    /// A layer of the core.
+    fn core_forward(&self, number: usize, first: usize, frames: usize) -> Result<()> {
         let (batch, rows, wide) =
             (self.settings.batch, frames * self.settings.batch, self.constants.hidden_columns());
         let (layer, (matrix, recurrent)) = (&self.layers[number], &self.layout.core[number]);
         let gates = matrix.columns;
         let sums = self.at(&layer.sums, first, gates);
-        let states = self.at(&layer.states, first, wide);
+        let input = match number {
+            0 => self.at(&self.input, first, self.constants.input_columns()),
+            _ => self.outputs(number - 1).plus(first * batch * wide),
+        };
         self.forward_product(matrix, input, sums, rows)?;
         match (recurrent, &layer.recurrent) {
             (Some(recurrent), Some(products)) => {
@@ -141,11 +149,9 @@ impl Training {
             }
             _ => self.cells_forward(layer, gates, first, frames)?,
         }
-        let output = states.plus(batch * wide);
-        let Some(dropped) = &layer.dropped else { return Ok(output) };
-        let to = self.at(dropped, first, wide);
-        self.dropout(number, output, to, first, frames, 1.0)?;
-        Ok(to)
+        let Some(dropped) = &layer.dropped else { return Ok(()) };
+        let output = self.at(&layer.states, first + 1, wide);
+        self.dropout(number, output, self.at(dropped, first, wide), first, frames, 1.0)
     }
 
     /// The states of frames `first..first + frames` from the sums.
