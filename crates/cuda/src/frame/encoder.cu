@@ -1,5 +1,7 @@
-// The pointwise encoder: Linear(INPUTS, E), activation, mean over the particles of a window. A fused form: no activation is stored. What
-// that saves is most of what PyTorch takes longer (`gpu.md` of the book).
+// The pointwise encoder: Linear(INPUTS, E), activation, mean over the particles of a window. A fused form: no activation is stored.
+// Otherwise a step of 256 windows of the paper's network would write 1.31 GB of activations and read them at least once, for the
+// gradient: .63 ms at the 4.13 TB/s of an H200, beside .665 ms of the whole step as it is. Computed, not timed; PyTorch, which stores
+// them, takes 2.98 ms (`gpu.md` of the book).
 //
 // Particles are taken in the order of their materials, so that the material's columns are a bias of
 // its own for each material and a particle costs FEATURES multiplications whatever the materials are.
