@@ -5,7 +5,7 @@
 
 use super::{
     error::Limit,
-    material::{Lame, Law},
+    material::Lame,
     particle::Particle,
     solver::{SolverSettings, Stop},
     stability::TRAVEL,
@@ -46,7 +46,7 @@ impl Bound {
                 let most = if material == Material::Liquid { LIQUID_CFL } else { CFL };
                 square(lame.sound_speed(material) * per_cell / most)
             }),
-            is_water: materials.law == Law::Water,
+            is_water: materials.law.is_water(),
         }
     }
 

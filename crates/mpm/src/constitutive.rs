@@ -26,9 +26,9 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
                     let area = trial.determinant();
                     (area, Matrix2::diagonal(pressure(lame, area)))
                 }
-                Law::Water => {
-                    let area =
-                        water::advanced(particle.deformation.determinant(), particle.affine, dt);
+                Law::Water | Law::Settling => {
+                    let before = particle.deformation.determinant();
+                    let area = water::advanced(before, particle.affine, moduli.law, dt);
                     (area, water::stress(area, particle.affine, moduli))
                 }
             };
@@ -48,12 +48,11 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
     }
 }
 
-/// Relaxes the area of water towards the density of the grid around the particle (mass per domain length^2) over `dt`
-/// seconds; see [`water`].
+/// Changes the area of a liquid.
 #[inline]
-pub(super) fn correct_density(particle: &mut Particle, density: f32, moduli: &Moduli, dt: f32) {
-    if particle.material == Material::Liquid && moduli.law == Law::Water {
-        let area = water::corrected(particle.deformation.determinant(), density, dt);
+pub(super) fn correct_area(particle: &mut Particle, corrected: impl FnOnce(f32) -> f32) {
+    if particle.material == Material::Liquid {
+        let area = corrected(particle.deformation.determinant());
         particle.deformation = Matrix2::diagonal(area.sqrt());
     }
 }

@@ -82,7 +82,7 @@ fn stored(particle: &Particle, moduli: &Moduli) -> f64 {
     let factor = f64::from(hardening(particle.material, particle.plastic));
     let (mu, lambda) = (f64::from(moduli.lame.mu), f64::from(moduli.lame.lambda));
     match (particle.material, moduli.law) {
-        (Material::Liquid, Law::Water) => tait(f, lambda),
+        (Material::Liquid, Law::Water | Law::Settling) => tait(f, lambda),
         (Material::Liquid, Law::Taichi) => elastic(f, 0.0, lambda),
         _ => elastic(f, mu * factor, lambda * factor),
     }

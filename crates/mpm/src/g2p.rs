@@ -1,8 +1,13 @@
 //! Grid to particles: gathers velocities and their gradients (APIC) and advances positions.
 
 use super::{
-    constitutive, grid::Grid, material::Moduli, matrix::Matrix2, particle::Particle,
+    constitutive,
+    grid::Grid,
+    material::{Law, Moduli},
+    matrix::Matrix2,
+    particle::Particle,
     spline::Stencil,
+    water,
 };
 
 /// Gathers the velocities of the grid and advances every particle by `dt` seconds.
@@ -18,7 +23,7 @@ pub(super) fn gather(
     let inverse_dx = grid.inverse_dx();
     for (index, particle) in particles.iter_mut().enumerate() {
         let stencil = Stencil::at(particle.position, inverse_dx);
-        let (mut velocity, mut mass) = ([0.0; 2], 0.0);
+        let (mut velocity, mut mass, mut area) = ([0.0; 2], 0.0, 0.0);
         // Velocity times the distance to the node (cells).
         let mut moment = Matrix2::ZERO;
         for (place, weight, [x, y]) in stencil.nodes() {
@@ -27,12 +32,23 @@ pub(super) fn gather(
             velocity = [velocity[0] + u, velocity[1] + v];
             moment = moment + Matrix2::new(u * x, u * y, v * x, v * y);
             mass += weight * node.mass;
+            area += weight * node.area;
         }
         particle.affine = moment * (4.0 * inverse_dx);
         particle.velocity = velocity;
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
-        constitutive::correct_density(particle, mass * inverse_dx * inverse_dx, moduli, dt);
+        let density = mass * inverse_dx * inverse_dx;
+        match moduli.law {
+            Law::Taichi => {}
+            Law::Water => {
+                constitutive::correct_area(particle, |own| water::corrected(own, density, dt));
+            }
+            Law::Settling => {
+                let share = water::following(moduli, dt, inverse_dx);
+                constitutive::correct_area(particle, |own| water::followed(own, area, share));
+            }
+        }
         if !grid.shape().contains(particle.position) {
             return Err(index);
         }

@@ -38,8 +38,20 @@ pub enum Law {
     /// Weakly compressible water: Tait's pressure without tension, and viscosity.
     #[default]
     Water,
+    /// The same with a pressure that varies smoothly and a density that counts the walls, so that it comes to rest.
+    Settling,
     /// The law of Taichi's `mpm128`: the volumetric part of the solids' law, including tension.
     Taichi,
+}
+
+impl Law {
+    /// Whether it has Tait's pressure and viscosity.
+    pub fn is_water(self) -> bool {
+        match self {
+            Self::Water | Self::Settling => true,
+            Self::Taichi => false,
+        }
+    }
 }
 
 /// Material settings of a simulation.

@@ -3,9 +3,10 @@
 use super::{
     constitutive,
     grid::Grid,
-    material::{DENSITY, Moduli},
+    material::{DENSITY, Law, Moduli},
     particle::Particle,
     spline::Stencil,
+    water,
 };
 
 /// Advances the deformation of every particle by `dt` seconds and adds its mass and momentum to the
@@ -24,6 +25,10 @@ pub(super) fn scatter(
     let impulse = -dt * volume * 4.0 * inverse_dx * inverse_dx;
     for particle in particles {
         let stress = constitutive::advance(particle, moduli, dt);
+        let area = match moduli.law {
+            Law::Settling => mass * water::limited(particle.deformation.determinant(), 1.0),
+            Law::Water | Law::Taichi => 0.0,
+        };
         let affine = (stress * impulse + particle.affine * mass) * dx;
         let stencil = Stencil::at(particle.position, inverse_dx);
         for (place, weight, [x, y]) in stencil.nodes() {
@@ -33,6 +38,7 @@ pub(super) fn scatter(
             node.motion[0] += weight * (mass * u + affine.xx * x + affine.xy * y);
             node.motion[1] += weight * (mass * v + affine.yx * x + affine.yy * y);
             node.mass += weight * mass;
+            node.area += weight * area;
         }
     }
 }

@@ -192,7 +192,7 @@ impl Solver {
         for _ in 0..substeps {
             grid.clear();
             p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
-            grid.update(dt, fall, self.attractor.as_ref());
+            grid.update(dt, fall, self.attractor.as_ref(), moduli.law);
             g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
         }
         Ok(())

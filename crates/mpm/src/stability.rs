@@ -2,7 +2,7 @@
 
 use super::{
     error::Limit,
-    material::{Lame, Law, Materials},
+    material::{Lame, Materials},
 };
 use eddy_frames::Material;
 
@@ -35,7 +35,7 @@ pub fn minimum_substeps(
         let courant = if material == Material::Liquid { LIQUID_CFL } else { CFL };
         (cells_crossed(lame.sound_speed(material)) / courant, Limit::Sound(material))
     };
-    let viscous = present.contains(&Material::Liquid) && materials.law == Law::Water;
+    let viscous = present.contains(&Material::Liquid) && materials.law.is_water();
     let viscosity = if viscous { materials.viscosity } else { 0.0 };
     let diffusion = f64::from(viscosity) * interval / f64::from(dx).powi(2) / DIFFUSION;
     let (substeps, limit) = present

@@ -3,7 +3,7 @@
 use super::{
     constitutive,
     energy::Energy,
-    material::{DENSITY, Lame, Law, Moduli, hardening},
+    material::{DENSITY, Lame, Moduli, hardening},
     particle::Particle,
     solver::SolverSettings,
     water,
@@ -37,7 +37,7 @@ impl ParticleState {
 fn pressure(particle: &Particle, moduli: &Moduli) -> f32 {
     let Particle { deformation, material, plastic, .. } = *particle;
     let area = deformation.determinant();
-    if (material, moduli.law) == (Material::Liquid, Law::Water) {
+    if material == Material::Liquid && moduli.law.is_water() {
         return water::pressure(area, moduli.lame.lambda);
     }
     let factor = hardening(material, plastic);
@@ -51,7 +51,7 @@ fn pressure(particle: &Particle, moduli: &Moduli) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Preset, Scene, Settings, Simulation, matrix::Matrix2};
+    use super::super::{Law, Preset, Scene, Settings, Simulation, matrix::Matrix2};
     use super::*;
 
     #[test]

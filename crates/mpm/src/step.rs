@@ -4,6 +4,7 @@ use super::{
     grid::GridShape,
     material::{DENSITY, Moduli},
     solver::SolverSettings,
+    water,
 };
 
 /// Parameters of a substep.
@@ -19,6 +20,8 @@ pub struct Step {
     pub impulse: f32,
     /// Particles per cell in an undeformed body.
     pub particles_per_cell: f32,
+    /// With the law `settling`, the share of the way from its J to that of the grid that a particle goes.
+    pub following: f32,
     /// Material parameters.
     pub moduli: Moduli,
 }
@@ -28,13 +31,15 @@ impl Step {
     pub fn of(settings: &SolverSettings) -> Self {
         let SolverSettings { grid: GridShape { dx, .. }, dt, .. } = *settings;
         let inverse_dx = 1.0 / dx;
+        let moduli = Moduli::of(&settings.materials);
         Self {
             dt,
             dx,
             inverse_dx,
             impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
             particles_per_cell: dx * dx / settings.volume(),
-            moduli: Moduli::of(&settings.materials),
+            following: water::following(&moduli, dt, inverse_dx),
+            moduli,
         }
     }
 

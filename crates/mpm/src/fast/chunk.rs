@@ -39,6 +39,8 @@ pub(super) struct Chunk {
     momentum: Vec<[f32; 2]>,
     /// Mass, in units of a particle's mass: the sum of the weights.
     mass: Vec<f32>,
+    /// Mass times J, with the law `settling`.
+    area: Vec<f32>,
     /// A particle has entered the outermost cell of the margin.
     pub(super) drifted: bool,
     /// A particle has left the patch or has a NaN position.
@@ -75,6 +77,8 @@ impl Chunk {
         self.momentum.resize(size, [0.0; 2]);
         self.mass.clear();
         self.mass.resize(size, 0.0);
+        self.area.clear();
+        self.area.resize(size, 0.0);
     }
 
     /// Range of its particles.
@@ -117,6 +121,16 @@ impl Chunk {
         (momentum, mass)
     }
 
+    /// As [`Chunk::nodes`], mass times J.
+    #[inline(always)]
+    pub(super) fn node_areas(&mut self, at: usize, i: usize) -> &mut [f32; 4] {
+        let start = at + i * self.stride;
+        let Some(area) = self.area[start..].first_chunk_mut() else {
+            unreachable!("`holds` checks that the stencil lies in the patch")
+        };
+        area
+    }
+
     /// Whether the patch contains this row of the grid.
     pub(super) fn covers(&self, row: usize) -> bool {
         let row = row as i32 - self.origin[0];
@@ -125,14 +139,26 @@ impl Chunk {
 
     /// Momentum and mass of a row that the patch contains.
     pub(super) fn row(&self, row: usize) -> (&[[f32; 2]], &[f32]) {
-        let start = (row - self.origin[0] as usize) * self.stride;
-        let end = start + self.nodes[1];
-        (&self.momentum[start..end], &self.mass[start..end])
+        let nodes = self.nodes_of(row);
+        (&self.momentum[nodes.clone()], &self.mass[nodes])
     }
 
-    /// Sets momentum and mass to zero.
-    pub(super) fn clear(&mut self) {
+    /// Mass times J of such a row.
+    pub(super) fn areas(&self, row: usize) -> &[f32] {
+        &self.area[self.nodes_of(row)]
+    }
+
+    fn nodes_of(&self, row: usize) -> Range<usize> {
+        let start = (row - self.origin[0] as usize) * self.stride;
+        start..start + self.nodes[1]
+    }
+
+    /// Sets the sums to zero.
+    pub(super) fn clear<const SETTLING: bool>(&mut self) {
         self.momentum.fill([0.0; 2]);
         self.mass.fill(0.0);
+        if SETTLING {
+            self.area.fill(0.0);
+        }
     }
 }

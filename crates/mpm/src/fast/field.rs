@@ -3,21 +3,24 @@
 use super::{
     super::{
         attractor::Attractor,
-        grid::{GridShape, WALL_CELLS},
+        grid::{GridShape, LEAST_OPEN, WALL_CELLS, open_along},
+        material::Law,
         solver::SolverSettings,
+        step::Step,
+        water::{MAX_AREA, RELAXATION_TIME},
     },
     chunk::Chunk,
     level::Work,
     simd::Simd,
 };
 
-/// Velocities and masses of `sides[0] * sides[1]` nodes, row (x) by row.
+/// Velocities of `sides[0] * sides[1]` nodes and what water follows, row (x) by row.
 #[derive(Clone, Debug)]
 pub(super) struct Field {
     /// Velocities (domain lengths per s).
     pub(super) velocity: Vec<[f32; 2]>,
-    /// Masses, in units of a particle's mass.
-    pub(super) mass: Vec<f32>,
+    /// Masses, in units of a particle's mass; with the law `settling` J.
+    pub(super) water: Vec<f32>,
     /// Nodes along x and y.
     pub(super) sides: [usize; 2],
     /// Row stride (nodes).
@@ -33,7 +36,7 @@ impl Field {
         let stride = sides[1] + GROUP;
         let inverse_dx = 1.0 / shape.dx;
         let nodes = sides[0] * stride;
-        Self { velocity: vec![[0.0; 2]; nodes], mass: vec![0.0; nodes], sides, stride, inverse_dx }
+        Self { velocity: vec![[0.0; 2]; nodes], water: vec![0.0; nodes], sides, stride, inverse_dx }
     }
 }
 
@@ -42,8 +45,8 @@ impl Field {
 pub(super) struct Nodes<'a> {
     /// Velocities, row (x) by row (domain lengths per s).
     pub(super) velocity: &'a [[f32; 2]],
-    /// Masses, in units of a particle's mass.
-    pub(super) mass: &'a [f32],
+    /// Masses, in units of a particle's mass; with the law `settling` J.
+    pub(super) water: &'a [f32],
     /// Row stride (nodes).
     pub(super) stride: usize,
 }
@@ -55,10 +58,10 @@ impl<'a> Nodes<'a> {
         rows(self.velocity, at, self.stride)
     }
 
-    /// As [`Nodes::velocities`], the masses.
+    /// As [`Nodes::velocities`], what water follows.
     #[inline(always)]
-    pub(super) fn masses(self, at: usize) -> [&'a [f32; GROUP]; 3] {
-        rows(self.mass, at, self.stride)
+    pub(super) fn water(self, at: usize) -> [&'a [f32; GROUP]; 3] {
+        rows(self.water, at, self.stride)
     }
 }
 
@@ -88,6 +91,46 @@ pub(super) struct Forces {
     /// Velocity along -y that gravity adds (domain lengths per s).
     fall: f32,
     attractor: Option<Attractor>,
+    /// With the law `settling`.
+    settling: Option<Settling>,
+}
+
+/// How the area of nodes relaxes towards their density.
+#[derive(Clone, Debug)]
+struct Settling {
+    /// Share of each node's kernel between the walls, by rows and by columns.
+    open: [Vec<f32>; 2],
+    /// Particles per cell in an undeformed body.
+    particles_per_cell: f32,
+    /// Share of the way in a substep.
+    share: f32,
+}
+
+impl Settling {
+    fn new(sides: [usize; 2], step: &Step) -> Self {
+        let along = |side: usize| (0..side).map(|k| open_along(k, side)).collect();
+        Self {
+            open: sides.map(along),
+            particles_per_cell: step.particles_per_cell,
+            share: (step.dt / RELAXATION_TIME).min(1.0),
+        }
+    }
+
+    /// J of the nodes `from..` of a row, from their masses and the sums of mass times J, as [`corrected`](super::super::water::corrected).
+    #[inline(always)]
+    fn areas(&self, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
+        let across = self.open[0][row];
+        let nodes = sum.mass[from..].iter().zip(&sum.area[from..]).zip(&self.open[1][from..]);
+        for (area, ((&mass, &sum), &along)) in areas.iter_mut().zip(nodes) {
+            let mass = if mass > f32::MIN_POSITIVE { mass } else { f32::MIN_POSITIVE };
+            let open = across * along;
+            let open = if open > LEAST_OPEN { open } else { LEAST_OPEN };
+            let target = self.particles_per_cell * open / mass;
+            let target = if target > MAX_AREA { MAX_AREA } else { target };
+            let mean = sum / mass;
+            *area = mean + (target - mean) * self.share;
+        }
+    }
 }
 
 /// Velocity bounds of separating slip walls at the nodes of a row.
@@ -112,12 +155,17 @@ impl Walls {
 
 impl Forces {
     /// The forces in a simulation with these settings.
-    pub(super) fn new(settings: &SolverSettings, attractor: Option<Attractor>) -> Self {
+    pub(super) fn new(
+        settings: &SolverSettings,
+        step: &Step,
+        attractor: Option<Attractor>,
+    ) -> Self {
         let SolverSettings { grid: shape, dt, .. } = *settings;
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let rows = sides[0];
         let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));
-        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor }
+        let settling = (step.moduli.law == Law::Settling).then(|| Settling::new(sides, step));
+        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor, settling }
     }
 
     /// Velocity that an attractor adds to the nodes of a row in a substep.
@@ -137,8 +185,8 @@ pub(super) struct Update<'a> {
     pub(super) chunks: &'a [Chunk],
     /// Velocities of the row's nodes.
     pub(super) velocity: &'a mut [[f32; 2]],
-    /// Masses of the row's nodes.
-    pub(super) mass: &'a mut [f32],
+    /// What water follows at the row's nodes.
+    pub(super) water: &'a mut [f32],
     /// Scratch buffer.
     pub(super) sum: &'a mut Sum,
 }
@@ -149,9 +197,12 @@ impl Work for Update<'_> {
     /// Nodes without mass get a velocity too, but no particle is near enough to gather it.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { forces, row, chunks, velocity, mass, sum } = self;
-        let Some([from, to]) = sum.add_up(row, chunks) else { return };
-        mass[from..to].copy_from_slice(&sum.mass[from..to]);
+        let Self { forces, row, chunks, velocity, water, sum } = self;
+        let Some([from, to]) = sum.add_up(row, chunks, forces.settling.is_some()) else { return };
+        match &forces.settling {
+            Some(settling) => settling.areas(row, from, sum, &mut water[from..to]),
+            None => water[from..to].copy_from_slice(&sum.mass[from..to]),
+        }
         if let Some(attractor) = &forces.attractor {
             forces.pull(attractor, row, &mut sum.pull);
         }
@@ -190,6 +241,8 @@ fn groups<T>(nodes: &[T]) -> impl Iterator<Item = &[T; GROUP]> {
 pub(super) struct Sum {
     momentum: Vec<[f32; 2]>,
     mass: Vec<f32>,
+    /// Mass times J, with the law `settling`.
+    area: Vec<f32>,
     /// Velocity added by the attractor; zero without one.
     pull: Vec<[f32; 2]>,
 }
@@ -200,6 +253,7 @@ impl Sum {
         Self {
             momentum: vec![[0.0; 2]; nodes],
             mass: vec![0.0; nodes],
+            area: vec![0.0; nodes],
             pull: vec![[0.0; 2]; nodes],
         }
     }
@@ -207,7 +261,7 @@ impl Sum {
     /// Sums the patches in row `i`, in the order of the chunks, and returns the range of covered nodes; `None` if no patch
     /// covers the row.
     #[inline(always)]
-    fn add_up(&mut self, i: usize, chunks: &[Chunk]) -> Option<[usize; 2]> {
+    fn add_up(&mut self, i: usize, chunks: &[Chunk], settling: bool) -> Option<[usize; 2]> {
         let covering = || chunks.iter().filter(|chunk| chunk.covers(i));
         let from = covering().map(|chunk| chunk.origin[1] as usize).min()?;
         let to = covering().map(|chunk| chunk.origin[1] as usize + chunk.nodes[1]).max()?;
@@ -221,6 +275,15 @@ impl Sum {
             }
             for (sum, more) in self.mass[start..].iter_mut().zip(mass) {
                 *sum += more;
+            }
+        }
+        if settling {
+            self.area[from..to].fill(0.0);
+            for chunk in covering() {
+                let start = chunk.origin[1] as usize;
+                for (sum, more) in self.area[start..].iter_mut().zip(chunk.areas(i)) {
+                    *sum += more;
+                }
             }
         }
         Some([from, to])

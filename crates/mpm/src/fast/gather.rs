@@ -4,7 +4,7 @@ use super::{
     super::{
         material::Law,
         step::Step,
-        water::{MAX_AREA, RELAXATION_TIME},
+        water::{MAX_AREA, RELAXATION_TIME, max_area},
     },
     field::Nodes,
     pack::Pack,
@@ -36,8 +36,8 @@ pub(super) fn gather<S: Simd>(
         simd.store(stencils.weight[i] * distance, &mut scratch.moment[i]);
     }
     simd.store(stencils.offset[1], &mut scratch.offset);
-    if step.moduli.law == Law::Water {
-        correct_density(simd, weights, pack, field, step, scratch);
+    if step.moduli.law.is_water() {
+        correct_area(simd, weights, pack, field, step, scratch);
     }
     let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
     // Unused lanes hold copies of another particle.
@@ -71,9 +71,9 @@ pub(super) fn gather<S: Simd>(
     }
 }
 
-/// Relaxes the area of water towards the density of the grid, as [`water`](super::super::water).
+/// Relaxes the area of water towards the density of the grid, or lets it follow the area of the grid, as [`water`](super::super::water).
 #[inline(always)]
-fn correct_density<S: Simd>(
+fn correct_area<S: Simd>(
     simd: S,
     weights: &Weights<S>,
     pack: &mut Pack,
@@ -86,21 +86,28 @@ fn correct_density<S: Simd>(
     if simd.count(liquid_lanes) == 0 {
         return;
     }
-    let Scratch { node, offset, weight, mass, .. } = scratch;
+    let Scratch { node, offset, weight, water, .. } = scratch;
     for l in 0..LANES {
-        let [a, b, c] = field.masses(node[l] as usize);
+        let [a, b, c] = field.water(node[l] as usize);
         let (a, b, c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
         let straight = simd.splat_ones(weight[0][l]) * a
             + simd.splat_ones(weight[1][l]) * b
             + simd.splat_ones(weight[2][l]) * c;
-        mass[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
+        water[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
     }
-    let max_area = simd.splat(MAX_AREA);
+    let limited = |area, most: f32| {
+        let most = simd.splat(most);
+        simd.select(simd.less(most, area), most, area)
+    };
     let side = simd.load(&pack.deformation[0]);
     let area = side * simd.load(&pack.deformation[3]);
-    let target = simd.splat(step.particles_per_cell) / simd.load(mass);
-    let target = simd.select(simd.less(max_area, target), max_area, target);
-    let area = area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0));
+    let area = if step.moduli.law == Law::Settling {
+        let followed = area + (simd.load(water) - area) * simd.splat(step.following);
+        limited(followed, max_area(Law::Settling))
+    } else {
+        let target = limited(simd.splat(step.particles_per_cell) / simd.load(water), MAX_AREA);
+        area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0))
+    };
     let side = simd.sqrt(area);
     for k in [0, 3] {
         let kept = simd.load(&pack.deformation[k]);

@@ -7,7 +7,7 @@ use super::{
             JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
             SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
         },
-        water::MAX_AREA,
+        water::max_area,
     },
     pack::Pack,
     simd::{LANES, Lanes, Simd},
@@ -97,8 +97,8 @@ fn liquid<S: Simd>(
             let tension = simd.splat(moduli.lame.lambda) * area * (area - one);
             (area, [tension, zero, tension])
         }
-        Law::Water => {
-            let max_area = simd.splat(MAX_AREA);
+        Law::Water | Law::Settling => {
+            let max_area = simd.splat(max_area(moduli.law));
             let area = simd.select(simd.less(max_area, area), max_area, area);
             let packed = one / area;
             let squared = packed * packed;

@@ -49,6 +49,7 @@ use super::{
     attractor::Attractor,
     bound::Bound,
     grid::GridShape,
+    material::Law,
     particle::Particle,
     solver::{SolverSettings, Stop},
     step::Step,
@@ -118,7 +119,8 @@ impl Fast {
         if let Some(lost) = particles.iter().position(|p| !settings.grid.contains(p.position)) {
             return Err(Stop::Lost { particle: lost, state: particles[lost] });
         }
-        let (step, forces) = (&Step::of(settings), &Forces::new(settings, attractor));
+        let step = &Step::of(settings);
+        let forces = &Forces::new(settings, step, attractor);
         self.packs.fill(particles, step, &self.field, &mut lock(&self.pool));
         self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;
@@ -170,7 +172,8 @@ impl Fast {
         let packs = DisjointSlice::new(&mut self.packs.packs);
         let chunks = DisjointSlice::new(&mut self.chunks);
         let velocities = DisjointSlice::new(&mut self.field.velocity);
-        let masses = DisjointSlice::new(&mut self.field.mass);
+        let waters = DisjointSlice::new(&mut self.field.water);
+        let settling = step.moduli.law == Law::Settling;
         let mut pool = lock(&self.pool);
         let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
@@ -178,18 +181,27 @@ impl Fast {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
-                let (mine, velocity, mass) = unsafe {
+                let (mine, velocity, water) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
-                    (mine, velocities.read(0..velocities.len()), masses.read(0..masses.len()))
+                    (mine, velocities.read(0..velocities.len()), waters.read(0..waters.len()))
                 };
-                let field = Nodes { velocity, mass, stride };
+                let field = Nodes { velocity, water, stride };
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
-                    if first && substep == 0 {
-                        level.run(Pass::<false, true> { chunk, packs, field, step });
-                    } else {
-                        level.run(Pass::<true, true> { chunk, packs, field, step });
+                    match (first && substep == 0, settling) {
+                        (true, false) => {
+                            level.run(Pass::<false, true, false> { chunk, packs, field, step })
+                        }
+                        (true, true) => {
+                            level.run(Pass::<false, true, true> { chunk, packs, field, step })
+                        }
+                        (false, false) => {
+                            level.run(Pass::<true, true, false> { chunk, packs, field, step })
+                        }
+                        (false, true) => {
+                            level.run(Pass::<true, true, true> { chunk, packs, field, step })
+                        }
                     }
                 }
                 barrier.wait();
@@ -201,10 +213,10 @@ impl Fast {
                 for row in share(rows, thread, threads) {
                     let nodes = row * stride..(row + 1) * stride;
                     // SAFETY: each row belongs to one thread; no thread reads nodes.
-                    let (velocity, mass) =
-                        unsafe { (velocities.part(nodes.clone()), masses.part(nodes)) };
+                    let (velocity, water) =
+                        unsafe { (velocities.part(nodes.clone()), waters.part(nodes)) };
                     let sum = &mut sum;
-                    level.run(Update { forces, row, chunks: all, velocity, mass, sum });
+                    level.run(Update { forces, row, chunks: all, velocity, water, sum });
                 }
                 let drifted = all.iter().any(|chunk| chunk.drifted);
                 barrier.wait();
@@ -224,11 +236,11 @@ impl Fast {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step);
         }
-        let Field { velocity, mass, stride, .. } = &self.field;
-        let field = Nodes { velocity, mass, stride: *stride };
+        let Field { velocity, water, stride, .. } = &self.field;
+        let field = Nodes { velocity, water, stride: *stride };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs.packs[chunk.packs()];
-            self.level.run(Pass::<true, false> { chunk, packs, field, step });
+            self.level.run(Pass::<true, false, false> { chunk, packs, field, step });
         }
     }
 

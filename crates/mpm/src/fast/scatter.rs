@@ -13,7 +13,7 @@ use super::{
 /// Computes the momentum that each particle scatters, `w (lowest + i along_x + j along_y)` at the node (i, j) of its
 /// stencil, per mass (domain lengths per s).
 #[inline(always)]
-pub(super) fn prepare<S: Simd>(
+pub(super) fn prepare<S: Simd, const SETTLING: bool>(
     simd: S,
     pack: &Pack,
     stress: &law::Stress<S>,
@@ -42,6 +42,11 @@ pub(super) fn prepare<S: Simd>(
         simd.store(stencils.weight[i], &mut scratch.weight[i]);
     }
     simd.store(fy, &mut scratch.offset);
+    if SETTLING {
+        let [xx, xy, yx, yy] = law::load(simd, &pack.deformation);
+        let (area, one) = (xx * yy - xy * yx, simd.splat(1.0));
+        simd.store(simd.select(simd.less(one, area), one, area), &mut scratch.area);
+    }
     for l in 0..LANES {
         let [x, y] = [stencils.base[0][l] - chunk.origin[0], stencils.base[1][l] - chunk.origin[1]];
         scratch.node[l] = x * chunk.stride as i32 + y;
@@ -50,7 +55,7 @@ pub(super) fn prepare<S: Simd>(
 
 /// Scatters the particles of a pack.
 #[inline(always)]
-pub(super) fn scatter<S: Simd>(
+pub(super) fn scatter<S: Simd, const SETTLING: bool>(
     simd: S,
     weights: &Weights<S>,
     scratch: &Scratch,
@@ -58,11 +63,11 @@ pub(super) fn scatter<S: Simd>(
     chunk: &mut Chunk,
     cell: &mut CellSum<S>,
 ) {
-    let Scratch { node, offset, weight, vectors: [lowest, along_x, along_y], .. } = scratch;
+    let Scratch { node, offset, weight, area, vectors: [lowest, along_x, along_y], .. } = scratch;
     for l in 0..lanes {
         let at = node[l] as usize;
         if at != cell.at {
-            cell.flush(simd, chunk);
+            cell.flush::<SETTLING>(simd, chunk);
             *cell = CellSum::zero(simd);
             cell.at = at;
         }
@@ -74,6 +79,9 @@ pub(super) fn scatter<S: Simd>(
         for (i, weight) in weight.iter().enumerate() {
             cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
             cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
+            if SETTLING {
+                cell.area[i] = cell.area[i] + simd.splat_ones(weight[l] * area[l]) * mass;
+            }
             momentum = momentum + next;
         }
     }
@@ -85,18 +93,20 @@ pub(super) struct CellSum<S: Simd> {
     at: usize,
     momentum: [S::Pairs; 3],
     mass: [S::Ones; 3],
+    /// With the law `settling`.
+    area: [S::Ones; 3],
 }
 
 impl<S: Simd> CellSum<S> {
     #[inline(always)]
     pub(super) fn zero(simd: S) -> Self {
-        let (momentum, mass) = ([simd.splat_pairs(0.0); 3], [simd.splat_ones(0.0); 3]);
-        Self { at: usize::MAX, momentum, mass }
+        let none = [simd.splat_ones(0.0); 3];
+        Self { at: usize::MAX, momentum: [simd.splat_pairs(0.0); 3], mass: none, area: none }
     }
 
     /// Adds the sum to the patch.
     #[inline(always)]
-    pub(super) fn flush(&self, simd: S, chunk: &mut Chunk) {
+    pub(super) fn flush<const SETTLING: bool>(&self, simd: S, chunk: &mut Chunk) {
         if self.at == usize::MAX {
             return;
         }
@@ -104,6 +114,10 @@ impl<S: Simd> CellSum<S> {
             let (momentum, mass) = chunk.nodes(self.at, i);
             simd.store_pairs(simd.load_pairs(momentum) + self.momentum[i], momentum);
             simd.store_ones(simd.load_ones(mass) + self.mass[i], mass);
+            if SETTLING {
+                let area = chunk.node_areas(self.at, i);
+                simd.store_ones(simd.load_ones(area) + self.area[i], area);
+            }
         }
     }
 }

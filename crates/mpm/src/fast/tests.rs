@@ -1,4 +1,4 @@
-use proptest::prelude::*;
+use proptest::{prelude::*, sample::select};
 
 use super::{
     super::{
@@ -38,10 +38,9 @@ proptest! {
     #[test]
     fn it_moves_particles_like_the_plain_solver(
         seed in 0u64..1000, id in 0u64..10, warm in 0u32..600, fluid in any::<bool>(),
-        taichi in any::<bool>(), pulled in any::<bool>()
+        law in select(&[Law::Water, Law::Settling, Law::Taichi][..]), pulled in any::<bool>()
     ) {
         let preset = if fluid { Preset::Fluid } else { Preset::MultiMaterial };
-        let law = if taichi { Law::Taichi } else { Law::Water };
         let mut fast = solver(&Scene::generate(preset, seed, id), law);
         fast.run(warm).unwrap();
         let pull = Attractor { centre: [0.4, 0.6], strength: 15.0, frames: 1, period: None };
@@ -60,9 +59,13 @@ proptest! {
 
 #[test]
 fn all_vector_instructions_and_numbers_of_threads_give_the_same_bits() {
-    for (preset, id) in [(Preset::MultiMaterial, 0), (Preset::MultiMaterial, 1), (Preset::Fluid, 2)]
-    {
-        let start = solver(&Scene::generate(preset, 7, id), Law::Water);
+    for (preset, id, law) in [
+        (Preset::MultiMaterial, 0, Law::Water),
+        (Preset::MultiMaterial, 1, Law::Settling),
+        (Preset::Fluid, 2, Law::Water),
+        (Preset::Fluid, 2, Law::Settling),
+    ] {
+        let start = solver(&Scene::generate(preset, 7, id), law);
         let mut expected = start.clone();
         expected.run(500).unwrap();
         for level in Level::present() {

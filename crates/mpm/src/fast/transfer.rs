@@ -27,8 +27,10 @@ pub(super) struct Scratch {
     pub(super) weight: [Lanes; 3],
     /// Weights times the distance along x (cells).
     pub(super) moment: [Lanes; 3],
-    /// Grid mass at each particle, in units of a particle's mass.
-    pub(super) mass: Lanes,
+    /// What water follows at each particle: the grid's mass, in units of a particle's, or with the law `settling` its J.
+    pub(super) water: Lanes,
+    /// J of each particle, at most 1.
+    pub(super) area: Lanes,
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
 }
@@ -39,14 +41,15 @@ impl Scratch {
         offset: [0.0; LANES],
         weight: [[0.0; LANES]; 3],
         moment: [[0.0; LANES]; 3],
-        mass: [0.0; LANES],
+        water: [0.0; LANES],
+        area: [0.0; LANES],
         vectors: [[[0.0; 2]; LANES]; 3],
     };
 }
 
 /// The pass over the particles of a chunk. Without `GATHER` particles only scatter their momentum; without `SCATTER` they
-/// only gather and move.
-pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool> {
+/// only gather and move. With `SETTLING` they also scatter their area, for the law of that name.
+pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool, const SETTLING: bool> {
     pub(super) chunk: &'a mut Chunk,
     /// The chunk's packs.
     pub(super) packs: &'a mut [Pack],
@@ -54,7 +57,9 @@ pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool> {
     pub(super) step: &'a Step,
 }
 
-impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER> {
+impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
+    for Pass<'_, GATHER, SCATTER, SETTLING>
+{
     type Output = ();
 
     #[inline(always)]
@@ -62,7 +67,7 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
         let Self { chunk, packs, field, step } = self;
         let weights = Weights::new(simd);
         if SCATTER {
-            chunk.clear();
+            chunk.clear::<SETTLING>();
         }
         let mut sum = CellSum::zero(simd);
         let mut scratch = Scratch::EMPTY;
@@ -87,12 +92,12 @@ impl<const GATHER: bool, const SCATTER: bool> Work for Pass<'_, GATHER, SCATTER>
             if SCATTER {
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
-                prepare(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
-                scatter(simd, &weights, &scratch, lanes, chunk, &mut sum);
+                prepare::<S, SETTLING>(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
+                scatter::<S, SETTLING>(simd, &weights, &scratch, lanes, chunk, &mut sum);
             }
         }
         if SCATTER {
-            sum.flush(simd, chunk);
+            sum.flush::<SETTLING>(simd, chunk);
         }
     }
 }
