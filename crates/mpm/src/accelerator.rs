@@ -4,7 +4,7 @@
 use super::{
     attractor::{self, Attractor},
     error::MpmError,
-    grid::WALL_CELLS,
+    grid::{LEAST_OPEN, WALL_CELLS},
     material::{
         JELLY_STIFFNESS, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
         SNOW_HARDENING_RANGE, SNOW_STRETCH,
@@ -58,8 +58,9 @@ pub trait Accelerator: Send {
 }
 
 /// The numbers of the laws, the walls and the attractor, by the names that the devices' programs have for them.
-pub const CONSTANTS: [(&str, f32); 13] = [
+pub const CONSTANTS: [(&str, f32); 14] = [
     ("WALL_CELLS", WALL_CELLS as f32),
+    ("LEAST_OPEN", LEAST_OPEN),
     ("MAX_AREA", water::MAX_AREA),
     ("RELAXATION_TIME", water::RELAXATION_TIME),
     ("JELLY_STIFFNESS", JELLY_STIFFNESS),

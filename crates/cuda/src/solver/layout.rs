@@ -8,8 +8,8 @@ use crate::kernels::{
     solver::solver::{CELLS, PATCH_NODES, Scene, Status, TILE, Tile},
 };
 
-/// Numbers of a patch: mass and momentum of its nodes.
-pub(super) const PATCH_NUMBERS: usize = 3 * PATCH_NODES;
+/// Numbers of a patch: mass, momentum, and mass times J of its nodes.
+pub(super) const PATCH_NUMBERS: usize = 4 * PATCH_NODES;
 /// Numbers of a particle's state, `State` of the kernels.
 pub(super) const NUMBERS: usize = 14;
 
@@ -41,7 +41,7 @@ impl Scene {
     fn set(&mut self, settings: &SolverSettings, interval: &Interval) {
         self.substeps = interval.substeps;
         let step = Step::of(&SolverSettings { dt: interval.dt, ..*settings });
-        (self.dt, self.impulse) = (step.dt, step.impulse);
+        (self.dt, self.impulse, self.following) = (step.dt, step.impulse, step.following);
         // Velocities are summed as integers. A power of two, so that scaling does not round.
         let cells_per_substep = step.dt * step.inverse_dx;
         self.unit = f32::from_bits(cells_per_substep.to_bits() & 0x7f80_0000);
@@ -104,7 +104,9 @@ impl Layout {
             mu: step.moduli.lame.mu,
             lambda: step.moduli.lame.lambda,
             viscosity: step.moduli.viscosity,
-            water: u32::from(step.moduli.law == Law::Water),
+            water: u32::from(step.moduli.law.is_water()),
+            settling: u32::from(step.moduli.law == Law::Settling),
+            following: 0.0,
             unit: 0.0,
             attracted: 0,
             centre: [0.0; 2],
