@@ -37,6 +37,7 @@ pub(super) fn write<const D: usize>(
 }
 
 fn vertices<const D: usize>(mut file: impl Write, frame: &Frame<D>) -> io::Result<()> {
+    let materials = Material::ALL.map(|material| format!("{} {}", material as u8, material.name()));
     write!(
         file,
         "ply\nformat binary_little_endian 1.0\n\
@@ -46,7 +47,7 @@ fn vertices<const D: usize>(mut file: impl Write, frame: &Frame<D>) -> io::Resul
         frame.stamp.seconds(),
         frame.stream,
         frame.sequence,
-        Material::numbered(),
+        materials.join(", "),
         frame.len()
     )?;
     for name in ["x", "y", "z", "vx", "vy", "vz"] {
