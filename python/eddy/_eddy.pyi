@@ -62,8 +62,8 @@ class Frame:
         sequence: int = 0,
         time: float = 0.0,
         dt: float = 0.016,
-        lower: Sequence[float] = ...,
-        upper: Sequence[float] = ...,
+        lower: Sequence[float] | None = None,
+        upper: Sequence[float] | None = None,
     ) -> Frame: ...
     @property
     def position(self) -> NDArray[np.float32]: ...

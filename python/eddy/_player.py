@@ -31,8 +31,8 @@ class _Panel(NamedTuple):
     #: Positions, float32 [N, 2] of each frame.
     positions: list[NDArray[np.float32]]
     materials: list[NDArray[np.uint8]]
-    lower: tuple[float, float]
-    upper: tuple[float, float]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
 
 
 class Player:
@@ -134,6 +134,8 @@ def _panel(
         if not isinstance(frame, Frame):
             found = type(frame).__name__
             raise TypeError(f"{name}: found {found}, expected frames, a bag or a NumPy array [T, N, 2]")
+        if len(frame.lower) != 2:
+            raise ValueError(f"{name}: found frames of {len(frame.lower)} dimensions, expected 2")
     if not frames:
         raise ValueError(f"{name}: found no frames, expected at least 1")
     return _Panel(
