@@ -58,9 +58,10 @@ pub trait Accelerator: Send {
 }
 
 /// The numbers of the laws, the walls and the attractor, by the names that the devices' programs have for them.
-pub const CONSTANTS: [(&str, f32); 14] = [
+pub const CONSTANTS: [(&str, f32); 15] = [
     ("WALL_CELLS", WALL_CELLS as f32),
     ("LEAST_OPEN", LEAST_OPEN),
+    ("LEAST_LIQUID", water::LEAST_LIQUID),
     ("MAX_AREA", water::MAX_AREA),
     ("RELAXATION_TIME", water::RELAXATION_TIME),
     ("JELLY_STIFFNESS", JELLY_STIFFNESS),

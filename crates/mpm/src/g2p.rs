@@ -1,26 +1,16 @@
 //! Grid to particles: gathers velocities and their gradients (APIC) and advances positions.
 
 use super::{
-    constitutive,
-    grid::Grid,
-    material::{Law, Moduli},
-    matrix::Matrix2,
-    particle::Particle,
-    spline::Stencil,
-    water,
+    constitutive, grid::Grid, material::Law, matrix::Matrix2, particle::Particle, spline::Stencil,
+    step::Step, water,
 };
 
-/// Gathers the velocities of the grid and advances every particle by `dt` seconds.
+/// Gathers the velocities of the grid and advances every particle by a substep.
 ///
 /// # Errors
 /// The index of the first particle that leaves the grid or has a position that is not finite.
-pub(super) fn gather(
-    particles: &mut [Particle],
-    grid: &Grid,
-    moduli: &Moduli,
-    dt: f32,
-) -> Result<(), usize> {
-    let inverse_dx = grid.inverse_dx();
+pub(super) fn gather(particles: &mut [Particle], grid: &Grid, step: &Step) -> Result<(), usize> {
+    let Step { inverse_dx, dt, .. } = *step;
     for (index, particle) in particles.iter_mut().enumerate() {
         let stencil = Stencil::at(particle.position, inverse_dx);
         let (mut velocity, mut mass, mut area) = ([0.0; 2], 0.0, 0.0);
@@ -39,15 +29,10 @@ pub(super) fn gather(
         particle.position =
             [particle.position[0] + dt * velocity[0], particle.position[1] + dt * velocity[1]];
         let density = mass * inverse_dx * inverse_dx;
-        match moduli.law {
-            Law::Taichi => {}
-            Law::Water => {
-                constitutive::correct_area(particle, |own| water::corrected(own, density, dt));
-            }
-            Law::Settling => {
-                let share = water::following(moduli, dt, inverse_dx);
-                constitutive::correct_area(particle, |own| water::followed(own, area, share));
-            }
+        if let Some(settling) = step.settling {
+            constitutive::correct_area(particle, |own| settling.followed(own, area));
+        } else if step.moduli.law == Law::Water {
+            constitutive::correct_area(particle, |own| water::corrected(own, density, dt));
         }
         if !grid.shape().contains(particle.position) {
             return Err(index);

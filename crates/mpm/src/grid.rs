@@ -1,6 +1,6 @@
 //! The background grid: converts momentum to velocity and applies gravity and walls.
 
-use super::{attractor::Attractor, material::Law, spline::Stencil, water};
+use super::{attractor::Attractor, material::DENSITY, spline::Stencil, step::Step};
 
 /// A node of the grid.
 #[derive(Clone, Copy, Debug, Default)]
@@ -9,7 +9,9 @@ pub(super) struct Node {
     pub(super) motion: [f32; 2],
     /// Mass.
     pub(super) mass: f32,
-    /// With the law `settling`: mass times J; after [`Grid::update`] J.
+    /// Mass of the solids, with the law `settling`.
+    pub(super) solid: f32,
+    /// Mass times J of the liquids, with the law `settling`; after [`Grid::update`] J.
     pub(super) area: f32,
 }
 
@@ -20,13 +22,13 @@ pub(super) fn open_share([x, y]: [f32; 2]) -> f32 {
     (x * y).max(LEAST_OPEN)
 }
 
-/// The smallest share of [`open_share`].
+/// The smallest share of [`open_share`]: with a fifth instead, pools were the same.
 pub(super) const LEAST_OPEN: f32 = 0.05;
 
-/// The share of the kernel along one axis, at node `index` of `side`.
+/// The share of the kernel along one axis, at node `index` of `side`; none inside the walls.
 pub(super) fn open_along(index: usize, side: usize) -> f32 {
     match index.min(side - 1 - index) + 1 {
-        ..WALL_CELLS => 1.0 / 48.0,
+        ..WALL_CELLS => 0.0,
         WALL_CELLS => 0.5,
         beside if beside == WALL_CELLS + 1 => 47.0 / 48.0,
         _ => 1.0,
@@ -128,7 +130,7 @@ impl Grid {
         &mut self.nodes[number]
     }
 
-    /// Sets mass and momentum to zero.
+    /// Sets all nodes to zero.
     pub(super) fn clear(&mut self) {
         self.nodes.fill(Node::default());
     }
@@ -139,10 +141,10 @@ impl Grid {
         &self.nodes
     }
 
-    /// Converts momentum to velocity and advances it by `dt` seconds: the velocity `fall` along -y that gravity adds (domain lengths
+    /// Converts momentum to velocity and advances it by a substep: the velocity `fall` along -y that gravity adds (domain lengths
     /// per s), the attractor if any, then the walls. Relaxes the area with the law `settling`.
-    pub(super) fn update(&mut self, dt: f32, fall: f32, attractor: Option<&Attractor>, law: Law) {
-        let (sides, dx, inverse_dx) = (self.sides, self.shape.dx, self.inverse_dx);
+    pub(super) fn update(&mut self, step: &Step, fall: f32, attractor: Option<&Attractor>) {
+        let (sides, dx, dt) = (self.sides, self.shape.dx, step.dt);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node.mass > 0.0) {
                 // A division instead of a multiplication by the inverse: inside a body all nodes have nearly the same
@@ -154,10 +156,10 @@ impl Grid {
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];
                 }
                 node.motion = [walled(velocity[0], i, sides[0]), walled(velocity[1], j, sides[1])];
-                if law == Law::Settling {
-                    let cells = open_share([open_along(i, sides[0]), open_along(j, sides[1])]);
-                    let density = node.mass * inverse_dx * inverse_dx / cells;
-                    node.area = water::corrected(node.area / node.mass, density, dt);
+                if let Some(settling) = step.settling {
+                    let open = open_share([open_along(i, sides[0]), open_along(j, sides[1])]);
+                    let by_density = DENSITY * dx * dx * open / node.mass;
+                    node.area = settling.of_node(node.mass, node.solid, node.area, by_density);
                 }
             }
         }
@@ -196,7 +198,7 @@ mod tests {
     fn kernels_at_walls_lie_between_them_in_part() {
         let side = 65;
         // The integral of the spline around each node, from the inner surface of the wall on.
-        for (index, expected) in [(1, 1.0 / 48.0), (2, 0.5), (3, 47.0 / 48.0), (4, 1.0)] {
+        for (index, expected) in [(2, 0.5), (3, 47.0 / 48.0), (4, 1.0)] {
             let surface = (WALL_CELLS - 1) as f32;
             let places = (0..30_000).map(|k| (k as f32 + 0.5) * 1e-4 - 1.5);
             let inside = places.filter(|x| index as f32 + x > surface);

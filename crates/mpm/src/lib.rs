@@ -77,6 +77,7 @@ pub use solver::{Solver, SolverSettings, Stop};
 pub use stability::minimum_substeps;
 pub use state::ParticleState;
 pub use step::Step;
+pub use water::Settling;
 
 /// Time between two frames (s).
 pub const FRAME_INTERVAL: f32 = 0.016;

@@ -38,7 +38,7 @@ pub enum Law {
     /// Weakly compressible water: Tait's pressure without tension, and viscosity.
     #[default]
     Water,
-    /// The same with a pressure that varies smoothly and a density that counts the walls, so that it comes to rest.
+    /// As `water`, with a pressure that varies smoothly and a density that knows the walls, so that it comes to rest.
     Settling,
     /// The law of Taichi's `mpm128`: the volumetric part of the solids' law, including tension.
     Taichi,

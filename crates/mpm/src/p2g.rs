@@ -1,4 +1,4 @@
-//! Particles to grid: scatters mass, momentum and the impulse of stress to 3x3 nodes.
+//! Particles to grid: scatters mass, momentum, the impulse of stress, and with the law `settling` the area of liquids to 3x3 nodes.
 
 use super::{
     constitutive,
@@ -6,8 +6,8 @@ use super::{
     material::{DENSITY, Law, Moduli},
     particle::Particle,
     spline::Stencil,
-    water,
 };
+use eddy_frames::Material;
 
 /// Advances the deformation of every particle by `dt` seconds and adds its mass and momentum to the
 /// grid. `volume` is the area of an undeformed particle (domain lengths^2).
@@ -25,9 +25,10 @@ pub(super) fn scatter(
     let impulse = -dt * volume * 4.0 * inverse_dx * inverse_dx;
     for particle in particles {
         let stress = constitutive::advance(particle, moduli, dt);
-        let area = match moduli.law {
-            Law::Settling => mass * water::limited(particle.deformation.determinant(), 1.0),
-            Law::Water | Law::Taichi => 0.0,
+        let (area, solid) = match (moduli.law, particle.material) {
+            (Law::Water | Law::Taichi, _) => (0.0, 0.0),
+            (Law::Settling, Material::Liquid) => (mass * particle.deformation.determinant(), 0.0),
+            (Law::Settling, _) => (0.0, mass),
         };
         let affine = (stress * impulse + particle.affine * mass) * dx;
         let stencil = Stencil::at(particle.position, inverse_dx);
@@ -38,6 +39,7 @@ pub(super) fn scatter(
             node.motion[0] += weight * (mass * u + affine.xx * x + affine.xy * y);
             node.motion[1] += weight * (mass * v + affine.yx * x + affine.yy * y);
             node.mass += weight * mass;
+            node.solid += weight * solid;
             node.area += weight * area;
         }
     }

@@ -9,10 +9,11 @@ use super::{
     fast::{Fast, Level, Watch},
     g2p,
     grid::{Grid, GridShape},
-    material::{Materials, Moduli},
+    material::Materials,
     p2g,
     particle::Particle,
     state::ParticleState,
+    step::Step,
 };
 
 /// Settings of a [`Solver`].
@@ -186,14 +187,14 @@ impl Solver {
     /// # Errors
     /// As [`Solver::run`], except that particles may move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
-        let (dt, fall) = (self.settings.dt, self.settings.fall());
-        let (moduli, volume) = (Moduli::of(&self.settings.materials), self.settings.volume());
+        let (step, fall) = (Step::of(&self.settings), self.settings.fall());
+        let volume = self.settings.volume();
         let mut grid = Grid::new(self.settings.grid);
         for _ in 0..substeps {
             grid.clear();
-            p2g::scatter(&mut self.particles, &mut grid, &moduli, volume, dt);
-            grid.update(dt, fall, self.attractor.as_ref(), moduli.law);
-            g2p::gather(&mut self.particles, &grid, &moduli, dt)?;
+            p2g::scatter(&mut self.particles, &mut grid, &step.moduli, volume, step.dt);
+            grid.update(&step, fall, self.attractor.as_ref());
+            g2p::gather(&mut self.particles, &grid, &step)?;
         }
         Ok(())
     }
@@ -306,7 +307,7 @@ mod tests {
     fn the_grid_carries_the_mass_of_the_particles() {
         let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
         let mut grid = Grid::new(settings.grid);
-        let moduli = Moduli::of(&settings.materials);
+        let moduli = crate::Moduli::of(&settings.materials);
         p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
         let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
         let expected = 400.0 * f64::from(DENSITY * settings.volume());

@@ -2,9 +2,9 @@
 
 use super::{
     grid::GridShape,
-    material::{DENSITY, Moduli},
+    material::{DENSITY, Law, Moduli},
     solver::SolverSettings,
-    water,
+    water::Settling,
 };
 
 /// Parameters of a substep.
@@ -20,8 +20,8 @@ pub struct Step {
     pub impulse: f32,
     /// Particles per cell in an undeformed body.
     pub particles_per_cell: f32,
-    /// With the law `settling`, the share of the way from its J to that of the grid that a particle goes.
-    pub following: f32,
+    /// How J changes, with the law `settling`.
+    pub settling: Option<Settling>,
     /// Material parameters.
     pub moduli: Moduli,
 }
@@ -38,7 +38,7 @@ impl Step {
             inverse_dx,
             impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
             particles_per_cell: dx * dx / settings.volume(),
-            following: water::following(&moduli, dt, inverse_dx),
+            settling: (moduli.law == Law::Settling).then(|| Settling::of(&moduli, inverse_dx, dt)),
             moduli,
         }
     }

@@ -5,15 +5,15 @@
 //! cut-off and with Taichi's law, and with J capped at 1 other pools swelled by a tenth. So J is relaxed towards the density
 //! of the grid, slowly compared with sound and fast compared with the drift.
 //!
-//! With the law `water` a pool never rests: its speed grew from .04 domain lengths per second at 2.4 s to .08 at 11 s, and the
-//! pressure of single particles was off by as much as it is. Two causes, which the law `settling` does not have:
+//! With the law `water` a pool does not rest (`tests/physics/water.rs`), and the pressure of a particle is off by as much as it is. Two
+//! causes, which the law `settling` does not have:
 //!
-//! - At a wall half of a kernel has no matter, so that the density there seemed too low and matter was compressed until the lowest row
-//!   was half as dense again; the energy of its fall fed the motion. Now a node's mass is compared with the part of its cell that lies
+//! - At a wall half of a kernel has no matter, so that the density there seems too low and matter is compressed until the lowest row is
+//!   half as dense again; the energy of its fall feeds the motion. `settling` compares a node's mass with the part of its kernel that lies
 //!   between the walls.
-//! - J of single particles is a null mode: what cancels within a cell moves no node. A density that is off by half a percent has the
-//!   pressure of the whole pool. Now the grid has J too, the mean of the matter around a node, relaxed towards its density, and particles
-//!   follow it within the time that sound takes to cross a cell. Water that has separated has no memory of it: J is at most 1.
+//! - J of single particles is a null mode: what cancels within a cell moves no node, and a density that is off by half a percent has the
+//!   pressure of a whole pool. With `settling` the grid has J too, the mean of the liquid around a node, relaxed towards its density, and
+//!   particles follow it within the time that sound takes to cross a cell. Water that has separated has no memory of it: J is at most 1.
 //!
 //! The bulk modulus is the first Lame parameter of E. At E = 1000 sound runs at 16.7 domain lengths per
 //! second, four times as fast as the flow; ten times the modulus moved the front of a broken dam by 1.6 %
@@ -32,6 +32,7 @@ pub(super) const MAX_AREA: f32 = 1.02;
 pub(super) const RELAXATION_TIME: f32 = 0.1;
 
 /// J, at most `most`. Unlike `min`, it preserves NaN.
+#[inline(always)]
 pub(super) fn limited(area: f32, most: f32) -> f32 {
     if area > most { most } else { area }
 }
@@ -50,26 +51,58 @@ pub(super) fn advanced(area: f32, gradient: Matrix2, law: Law, dt: f32) -> f32 {
     limited(area * (Matrix2::IDENTITY + gradient * dt).determinant(), max_area(law))
 }
 
-/// J of a particle or a node, relaxed for `dt` seconds towards the density of the grid (mass per domain length^2).
+/// J of a particle, relaxed for `dt` seconds towards the density of the grid (mass per domain length^2).
 ///
 /// A density correction as in Zhang, Zhang, Sze and Liu 2018, "Improved incompressible material point
 /// method based on particle density correction", as a relaxation of the state instead of a shift of
 /// the particles.
 #[inline]
 pub(super) fn corrected(area: f32, density: f32, dt: f32) -> f32 {
-    let target = limited(DENSITY / density, MAX_AREA);
-    area + (target - area) * (dt / RELAXATION_TIME).min(1.0)
+    relaxed(area, DENSITY / density, (dt / RELAXATION_TIME).min(1.0))
 }
 
-/// The share of the way from its own J to that of the grid that a particle goes in a substep of the law `settling`.
-pub(super) fn following(moduli: &Moduli, dt: f32, inverse_dx: f32) -> f32 {
-    (dt * (moduli.lame.lambda / DENSITY).sqrt() * inverse_dx).min(1.0)
+/// J that has gone this share of the way to that of the density, at most [`MAX_AREA`].
+#[inline(always)]
+pub(super) fn relaxed(area: f32, by_density: f32, share: f32) -> f32 {
+    area + (limited(by_density, MAX_AREA) - area) * share
 }
 
-/// J that has followed that of the grid.
-#[inline]
-pub(super) fn followed(area: f32, of_grid: f32, share: f32) -> f32 {
-    limited(area + (of_grid - area) * share, max_area(Law::Settling))
+/// Relaxation time of J with the law `settling` (s).
+const SETTLING_TIME: f32 = 0.2;
+
+/// The smallest share of liquid in the mass of a node whose J is that of its liquid: the mass of the liquid is a difference.
+pub(super) const LEAST_LIQUID: f32 = 1e-4;
+
+/// How J changes in a substep of the law `settling`, as shares of the way.
+#[derive(Clone, Copy, Debug)]
+pub struct Settling {
+    /// Of a node to the J of its density.
+    pub relaxing: f32,
+    /// Of a particle to the J of the grid.
+    pub following: f32,
+}
+
+impl Settling {
+    /// Particles take only a part of what the grid's J changes by, which therefore goes further by as much: the time does not depend on the
+    /// length of the substep.
+    pub(super) fn of(moduli: &Moduli, inverse_dx: f32, dt: f32) -> Self {
+        let following = (dt * (moduli.lame.lambda / DENSITY).sqrt() * inverse_dx).min(1.0);
+        Self { relaxing: (dt / (SETTLING_TIME * following)).min(1.0), following }
+    }
+
+    /// J of a node: that of its liquid, from the sum of mass times J, relaxed.
+    #[inline(always)]
+    pub(super) fn of_node(self, mass: f32, solid: f32, area: f32, by_density: f32) -> f32 {
+        let liquid = mass - solid;
+        let mean = if liquid > LEAST_LIQUID * mass { area / liquid } else { 1.0 };
+        relaxed(mean, by_density, self.relaxing)
+    }
+
+    /// J of a particle that has followed that of the grid.
+    #[inline]
+    pub(super) fn followed(self, area: f32, of_grid: f32) -> f32 {
+        limited(area + (of_grid - area) * self.following, max_area(Law::Settling))
+    }
 }
 
 /// Kirchhoff stress (density x velocity^2).

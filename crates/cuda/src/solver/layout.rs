@@ -1,15 +1,15 @@
 //! The constants of the solver's kernels, the table of scenes, and where each one's particles, tiles and nodes are.
 
 use eddy_frames::Material;
-use eddy_mpm::{Attractor, CONSTANTS, GridShape, Interval, Law, Solver, SolverSettings, Step};
+use eddy_mpm::{Attractor, CONSTANTS, GridShape, Interval, Settling, Solver, SolverSettings, Step};
 
 use crate::kernels::{
     Program,
-    solver::solver::{CELLS, PATCH_NODES, Scene, Status, TILE, Tile},
+    solver::solver::{CELLS, NODE_SUMS, PATCH_NODES, Scene, Status, TILE, Tile},
 };
 
-/// Numbers of a patch: mass, momentum, and mass times J of its nodes.
-pub(super) const PATCH_NUMBERS: usize = 4 * PATCH_NODES;
+/// Numbers of a patch: the sums of its nodes.
+pub(super) const PATCH_NUMBERS: usize = NODE_SUMS * PATCH_NODES;
 /// Numbers of a particle's state, `State` of the kernels.
 pub(super) const NUMBERS: usize = 14;
 
@@ -41,7 +41,10 @@ impl Scene {
     fn set(&mut self, settings: &SolverSettings, interval: &Interval) {
         self.substeps = interval.substeps;
         let step = Step::of(&SolverSettings { dt: interval.dt, ..*settings });
-        (self.dt, self.impulse, self.following) = (step.dt, step.impulse, step.following);
+        (self.dt, self.impulse) = (step.dt, step.impulse);
+        if let Some(Settling { relaxing, following }) = step.settling {
+            (self.settling, self.relaxing, self.following) = (1, relaxing, following);
+        }
         // Velocities are summed as integers. A power of two, so that scaling does not round.
         let cells_per_substep = step.dt * step.inverse_dx;
         self.unit = f32::from_bits(cells_per_substep.to_bits() & 0x7f80_0000);
@@ -105,7 +108,8 @@ impl Layout {
             lambda: step.moduli.lame.lambda,
             viscosity: step.moduli.viscosity,
             water: u32::from(step.moduli.law.is_water()),
-            settling: u32::from(step.moduli.law == Law::Settling),
+            settling: 0,
+            relaxing: 0.0,
             following: 0.0,
             unit: 0.0,
             attracted: 0,

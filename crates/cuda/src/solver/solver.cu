@@ -16,6 +16,7 @@
 #define PATCH_NODES (PATCH * PATCH)
 #define ROW 24              // from a row of sums in shared memory to the next: 4 rows of 8 lie in different banks
 #define SUMS (PATCH * ROW)
+#define NODE_SUMS 5         // of a node: mass, momentum along x and y; with the law settling mass of solids, mass times J of liquids
 #define CELLS (TILE * TILE) // of a tile
 #define THREADS 128        // of a block of solver_particles
 #define NONE 0xffffffffu
@@ -52,7 +53,7 @@ struct Scene {
   float mu, lambda, viscosity; // before hardening; of liquids
   u32 water;                   // 1: the laws of water, 0: Taichi's
   u32 settling;                // 1: the law of this name, one of water's
-  float following;             // of it: the share of the way from its J to that of the grid that a particle goes
+  float relaxing, following;   // of it (`Settling` of eddy-mpm)
   float unit;                  // a power of two: velocities times this are below about 1 for a cell in a substep
   u32 attracted;               // 1: there is an attractor
   float centre[2], strength, period; // period 0: a single point
@@ -206,7 +207,7 @@ __device__ __forceinline__ float clamped(float v, float lowest, float highest) {
 }
 
 // The smaller one; NaN where `v` is.
-__device__ __forceinline__ float fewer(float v, float most) {
+__device__ __forceinline__ float at_most(float v, float most) {
   return most < v ? most : v;
 }
 
@@ -218,7 +219,7 @@ __device__ __forceinline__ Stress liquid(const Scene& s, float4 c, float4* f) {
   float area = f->x * f->w - f->y * f->z;
   Stress stress;
   if (s.water) {
-    area = fewer(area, s.settling ? 1.0f : real(MAX_AREA));
+    area = at_most(area, s.settling ? 1.0f : real(MAX_AREA));
     const float packed = 1.0f / area, squared = packed * packed;
     float pressure = s.lambda / 7.0f * (squared * squared * squared * packed - 1.0f);
     pressure = area * (pressure < 0.0f ? 0.0f : pressure);
@@ -275,11 +276,6 @@ __device__ __forceinline__ Stress solid(const Scene& s, u32 material, float4* f,
   return {shear * (xx * f->x + xy * f->y) + tension, shear * (xx * f->z + xy * f->w), shear * (yx * f->z + yy * f->w) + tension};
 }
 
-// J relaxed towards that of the density (`water::corrected`).
-__device__ __forceinline__ float relaxed(const Scene& s, float area, float by_density) {
-  return area + (fewer(by_density, real(MAX_AREA)) - area) * fminf(s.dt / real(RELAXATION_TIME), 1.0f);
-}
-
 // Adds a number below 2^(LIMIT_BITS + HIGH_BITS), in units of `high`, to a sum.
 __device__ __forceinline__ void add(u32* high, u32* low, float v) {
   const float shifted = v + ROUND;
@@ -292,8 +288,8 @@ __device__ __forceinline__ void add(u32* high, u32* low, float v) {
 // grid about the number of tiles with particles, block THREADS
 extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const Scene* __restrict__ scenes, const Tile* __restrict__ tiles, const u32* __restrict__ list, const Sorted* __restrict__ sorted, const u32* __restrict__ starts, const u32* __restrict__ ends, float* base, u32 n, const float4* __restrict__ nodes, long long* __restrict__ patches, const Status* __restrict__ status, u32* __restrict__ drifted, u32* __restrict__ lost) {
   __shared__ float4 near[PATCH_NODES]; // velocity (domain lengths per s), mass and J of the nodes before the substep
-  __shared__ uint4 sums[8 * SUMS / 4]; // four sums: the high parts, then the low ones
-  u32 *const high = (u32*)sums, *const low = high + 4 * SUMS;
+  __shared__ uint4 sums[2 * NODE_SUMS * SUMS / 4]; // high and low part of each sum
+  u32 *const high = (u32*)sums, *const low = high + SUMS;
   const State state = state_at(base, n);
   const u32 t = threadIdx.x;
   for (u32 slot = blockIdx.x; slot < sorted->active; slot += gridDim.x) {
@@ -311,9 +307,10 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
       const bool there = x >= 0 && y >= 0 && x < (int)s.sides[0] && y < (int)s.sides[1];
       near[row * PATCH + t % 16] = there ? nodes[s.first_node + (u32)x * s.sides[1] + (u32)y] : float4{0.0f, 0.0f, 0.0f, 0.0f};
     }
-    for (u32 k = t; k < 8 * SUMS / 4; k += THREADS) sums[k] = uint4{0, 0, 0, 0};
+    const u32 node_sums = s.settling ? NODE_SUMS : 3;
+    for (u32 k = t; k < 2 * node_sums * SUMS / 4; k += THREADS) sums[k] = uint4{0, 0, 0, 0};
     __syncthreads();
-    long long* patch = patches + (u64)slot * 4 * PATCH_NODES;
+    long long* patch = patches + (u64)slot * NODE_SUMS * PATCH_NODES;
     const u32 end = ends[number];
     u32 added = 0;
     bool first_batch = true;
@@ -333,7 +330,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
           spline_weights(fx, wx);
           spline_weights(fy, wy);
           const u32 at = (u32)(i - origin_x) * PATCH + (u32)(j - origin_y);
-          float mass = 0.0f, of_grid = 0.0f;
+          float mass = 0.0f, grid_area = 0.0f;
           v = {0.0f, 0.0f};
           c = {0.0f, 0.0f, 0.0f, 0.0f};
 #pragma unroll
@@ -350,7 +347,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
               c.z += vy * dx;
               c.w += vy * dy;
               mass += w * node.z;
-              of_grid += w * node.w;
+              grid_area += w * node.w;
             }
           const float scale = 4.0f * s.inverse_dx;
           c = {c.x * scale, c.y * scale, c.z * scale, c.w * scale};
@@ -365,10 +362,12 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
           if (material == LIQUID && s.water) {
             float area = f.x * f.w;
             if (s.settling) {
-              // It follows the area of the grid (`water::followed`).
-              area = fewer(area + (of_grid - area) * s.following, 1.0f);
+              // It follows the area of the grid (`Settling::followed`).
+              area = at_most(area + (grid_area - area) * s.following, 1.0f);
             } else {
-              area = relaxed(s, area, s.per_cell / mass);
+              // It relaxes towards the density of the grid (`water::corrected`).
+              const float density = s.per_cell / mass, target = real(MAX_AREA) < density ? real(MAX_AREA) : density;
+              area += (target - area) * fminf(s.dt / real(RELAXATION_TIME), 1.0f);
             }
             f.x = f.w = sqrtf(area);
           }
@@ -401,7 +400,6 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
             // Both factors are powers of two: nothing is rounded here that would not be without them.
             const float mass = (float)(1 << HIGH_BITS), unit = s.unit;
             const u32 at = (u32)px * ROW + (u32)py;
-            const float area = fewer(f.x * f.w - f.y * f.z, 1.0f);
 #pragma unroll
             for (int a = 0; a < 3; a++) {
               const float across = (float)a - fx, w = mass * wx[a];
@@ -411,9 +409,13 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
                 const float along = unit * ((float)b - fy), weight = w * wy[b];
                 const u32 node = at + a * ROW + b;
                 add(high + node, low + node, weight);
-                add(high + SUMS + node, low + SUMS + node, weight * (row_x + xy * along));
-                add(high + 2 * SUMS + node, low + 2 * SUMS + node, weight * (row_y + yy * along));
-                if (s.settling) add(high + 3 * SUMS + node, low + 3 * SUMS + node, weight * area);
+                add(high + 2 * SUMS + node, low + 2 * SUMS + node, weight * (row_x + xy * along));
+                add(high + 4 * SUMS + node, low + 4 * SUMS + node, weight * (row_y + yy * along));
+                if (s.settling) {
+                  const bool is_liquid = material == LIQUID;
+                  const u32 sum = node + (is_liquid ? 8 : 6) * SUMS;
+                  add(high + sum, low + sum, is_liquid ? weight * (f.x * f.w) : weight);
+                }
               }
             }
           }
@@ -425,9 +427,9 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
       if (scatters && (added == BATCH || first + THREADS >= end)) {
         __syncthreads();
         // 16 threads have a row of nodes.
-        for (u32 row = t / 16; row < (3 + s.settling) * PATCH; row += THREADS / 16) {
+        for (u32 row = t / 16; row < node_sums * PATCH; row += THREADS / 16) {
           if (t % 16 >= PATCH) continue;
-          const u32 at = row * ROW + t % 16, k = row * PATCH + t % 16;
+          const u32 at = (row + row / PATCH * PATCH) * ROW + t % 16, k = row * PATCH + t % 16;
           const long long sum = (long long)(int)high[at] * (1 << LOW_BITS) + (int)low[at];
           patch[k] = first_batch ? sum : patch[k] + sum;
           high[at] = low[at] = 0;
@@ -455,11 +457,11 @@ __device__ __forceinline__ float walled(float velocity, u32 index, u32 side) {
   return index + wall >= side ? fminf(velocity, 0.0f) : velocity;
 }
 
-// The share of a node's kernel that lies between the walls, along one axis (`grid::open_along`).
+// The share of a node's kernel that lies between the walls, along one axis; none inside the walls (`grid::open_along`).
 __device__ __forceinline__ float open_along(u32 index, u32 side) {
   const u32 surface = (u32)real(WALL_CELLS) - 1, nearest = min(index, side - 1 - index);
   if (nearest > surface + 1) return 1.0f;
-  return nearest > surface ? 47.0f / 48.0f : (nearest == surface ? 0.5f : 1.0f / 48.0f);
+  return nearest > surface ? 47.0f / 48.0f : (nearest == surface ? 0.5f : 0.0f);
 }
 
 // Velocities of the nodes; what the scenes have done.
@@ -481,7 +483,7 @@ extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __
     const Scene& s = scenes[tile.scene];
     const Status now = status[tile.scene];
     if (now.stopped || now.done >= s.substeps) continue;
-    long long sum = 0, sum_x = 0, sum_y = 0, sum_area = 0;
+    long long sum = 0, sum_x = 0, sum_y = 0, sum_solid = 0, sum_area = 0;
 #pragma unroll
     for (int patch = 0; patch < 4; patch++) {
       const int a = patch / 2 * across, b = patch % 2 * along;
@@ -489,11 +491,14 @@ extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __
       const u32 slot = slot_beside(s, tile, slots, a, b);
       if (slot == NONE) continue;
       // The patch begins MARGIN nodes before its tile.
-      const long long* sums = patches + (u64)slot * 4 * PATCH_NODES + (i - TILE * a + MARGIN) * PATCH + j - TILE * b + MARGIN;
+      const long long* sums = patches + (u64)slot * NODE_SUMS * PATCH_NODES + (i - TILE * a + MARGIN) * PATCH + j - TILE * b + MARGIN;
       sum += sums[0];
       sum_x += sums[PATCH_NODES];
       sum_y += sums[2 * PATCH_NODES];
-      if (s.settling) sum_area += sums[3 * PATCH_NODES];
+      if (s.settling) {
+        sum_solid += sums[3 * PATCH_NODES];
+        sum_area += sums[4 * PATCH_NODES];
+      }
     }
     const u32 gx = tile.x * TILE + (u32)i, gy = tile.y * TILE + (u32)j;
     if (sum <= 0 || gx >= s.sides[0] || gy >= s.sides[1]) continue;
@@ -508,7 +513,10 @@ extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __
     float area = 0.0f;
     if (s.settling) {
       const float open = fmaxf(open_along(gx, s.sides[0]) * open_along(gy, s.sides[1]), real(LEAST_OPEN));
-      area = relaxed(s, (float)sum_area / (float)sum, s.per_cell * open / mass);
+      // That of its liquid, relaxed towards its density (`Settling::of_node`).
+      const float liquid = (float)(sum - sum_solid);
+      area = liquid > real(LEAST_LIQUID) * (float)sum ? (float)sum_area / liquid : 1.0f;
+      area += (at_most(s.per_cell * open / mass, real(MAX_AREA)) - area) * s.relaxing;
     }
     nodes[s.first_node + gx * s.sides[1] + gy] = {walled(vx, gx, s.sides[0]), walled(vy, gy, s.sides[1]), mass, area};
   }

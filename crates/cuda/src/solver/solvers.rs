@@ -6,7 +6,7 @@
 //! |---|---|---|---|
 //! | count, tiles, touch, move | 256 particles or tiles | positions | particles sorted by tiles |
 //! | particles | a tile of 8 x 8 cells | particles, nodes around the tile | particles, a patch of 14 x 14 nodes |
-//! | nodes | 8 x 8 nodes | the patches that cover them | velocity and mass of nodes |
+//! | nodes | 8 x 8 nodes | the patches that cover them | velocity, mass and J of nodes |
 //!
 //! The last two are repeated for every substep. A scene that has finished, or has to wait until its particles are sorted,
 //! skips its part of the round; the host reads how far each one is and starts rounds until all have finished.

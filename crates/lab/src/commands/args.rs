@@ -192,7 +192,7 @@ pub struct BenchSolverArgs {
     /// Numbers of threads.
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<usize>,
-    /// Constitutive law of liquids: water, or the law of Taichi's mpm128.
+    /// Constitutive law of liquids: water, settling (water that comes to rest), or that of Taichi's mpm128.
     #[arg(long, value_enum, default_value_t = Law::Water)]
     pub law: Law,
     /// Approximate duration of each case (s).

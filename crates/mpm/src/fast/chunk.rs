@@ -39,7 +39,9 @@ pub(super) struct Chunk {
     momentum: Vec<[f32; 2]>,
     /// Mass, in units of a particle's mass: the sum of the weights.
     mass: Vec<f32>,
-    /// Mass times J, with the law `settling`.
+    /// Mass of the solids, with the law `settling`.
+    solid: Vec<f32>,
+    /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
     /// A particle has entered the outermost cell of the margin.
     pub(super) drifted: bool,
@@ -77,8 +79,10 @@ impl Chunk {
         self.momentum.resize(size, [0.0; 2]);
         self.mass.clear();
         self.mass.resize(size, 0.0);
-        self.area.clear();
-        self.area.resize(size, 0.0);
+        for sums in [&mut self.solid, &mut self.area] {
+            sums.clear();
+            sums.resize(size, 0.0);
+        }
     }
 
     /// Range of its particles.
@@ -121,14 +125,14 @@ impl Chunk {
         (momentum, mass)
     }
 
-    /// As [`Chunk::nodes`], mass times J.
+    /// As [`Chunk::nodes`], the mass of solids, and mass times J of liquids.
     #[inline(always)]
-    pub(super) fn node_areas(&mut self, at: usize, i: usize) -> &mut [f32; 4] {
+    pub(super) fn settling_nodes(&mut self, at: usize, i: usize) -> [&mut [f32; 4]; 2] {
         let start = at + i * self.stride;
-        let Some(area) = self.area[start..].first_chunk_mut() else {
-            unreachable!("`holds` checks that the stencil lies in the patch")
-        };
-        area
+        [&mut self.solid, &mut self.area].map(|sums| match sums[start..].first_chunk_mut() {
+            Some(nodes) => nodes,
+            None => unreachable!("`holds` checks that the stencil lies in the patch"),
+        })
     }
 
     /// Whether the patch contains this row of the grid.
@@ -143,9 +147,10 @@ impl Chunk {
         (&self.momentum[nodes.clone()], &self.mass[nodes])
     }
 
-    /// Mass times J of such a row.
-    pub(super) fn areas(&self, row: usize) -> &[f32] {
-        &self.area[self.nodes_of(row)]
+    /// The mass of solids, and mass times J of liquids, of such a row.
+    pub(super) fn settling_row(&self, row: usize) -> (&[f32], &[f32]) {
+        let nodes = self.nodes_of(row);
+        (&self.solid[nodes.clone()], &self.area[nodes])
     }
 
     fn nodes_of(&self, row: usize) -> Range<usize> {
@@ -158,6 +163,7 @@ impl Chunk {
         self.momentum.fill([0.0; 2]);
         self.mass.fill(0.0);
         if SETTLING {
+            self.solid.fill(0.0);
             self.area.fill(0.0);
         }
     }

@@ -3,24 +3,23 @@
 use super::{
     super::{
         attractor::Attractor,
-        grid::{GridShape, LEAST_OPEN, WALL_CELLS, open_along},
-        material::Law,
+        grid::{GridShape, WALL_CELLS, open_along, open_share},
         solver::SolverSettings,
         step::Step,
-        water::{MAX_AREA, RELAXATION_TIME},
+        water::Settling,
     },
     chunk::Chunk,
     level::Work,
     simd::Simd,
 };
 
-/// Velocities of `sides[0] * sides[1]` nodes and what water follows, row (x) by row.
+/// Velocities of `sides[0] * sides[1]` nodes and what liquids follow, row (x) by row.
 #[derive(Clone, Debug)]
 pub(super) struct Field {
     /// Velocities (domain lengths per s).
     pub(super) velocity: Vec<[f32; 2]>,
     /// Masses, in units of a particle's mass; with the law `settling` J.
-    pub(super) water: Vec<f32>,
+    pub(super) liquid: Vec<f32>,
     /// Nodes along x and y.
     pub(super) sides: [usize; 2],
     /// Row stride (nodes).
@@ -36,7 +35,19 @@ impl Field {
         let stride = sides[1] + GROUP;
         let inverse_dx = 1.0 / shape.dx;
         let nodes = sides[0] * stride;
-        Self { velocity: vec![[0.0; 2]; nodes], water: vec![0.0; nodes], sides, stride, inverse_dx }
+        Self {
+            velocity: vec![[0.0; 2]; nodes],
+            liquid: vec![0.0; nodes],
+            sides,
+            stride,
+            inverse_dx,
+        }
+    }
+
+    /// Forgets what an earlier run has left, which may not be finite after an error.
+    pub(super) fn clear(&mut self) {
+        self.velocity.fill([0.0; 2]);
+        self.liquid.fill(0.0);
     }
 }
 
@@ -46,7 +57,7 @@ pub(super) struct Nodes<'a> {
     /// Velocities, row (x) by row (domain lengths per s).
     pub(super) velocity: &'a [[f32; 2]],
     /// Masses, in units of a particle's mass; with the law `settling` J.
-    pub(super) water: &'a [f32],
+    pub(super) liquid: &'a [f32],
     /// Row stride (nodes).
     pub(super) stride: usize,
 }
@@ -58,10 +69,10 @@ impl<'a> Nodes<'a> {
         rows(self.velocity, at, self.stride)
     }
 
-    /// As [`Nodes::velocities`], what water follows.
+    /// As [`Nodes::velocities`], what liquids follow.
     #[inline(always)]
-    pub(super) fn water(self, at: usize) -> [&'a [f32; GROUP]; 3] {
-        rows(self.water, at, self.stride)
+    pub(super) fn liquid(self, at: usize) -> [&'a [f32; GROUP]; 3] {
+        rows(self.liquid, at, self.stride)
     }
 }
 
@@ -92,43 +103,35 @@ pub(super) struct Forces {
     fall: f32,
     attractor: Option<Attractor>,
     /// With the law `settling`.
-    settling: Option<Settling>,
+    areas: Option<Areas>,
 }
 
 /// How the area of nodes relaxes towards their density.
 #[derive(Clone, Debug)]
-struct Settling {
+struct Areas {
+    settling: Settling,
     /// Share of each node's kernel between the walls, by rows and by columns.
     open: [Vec<f32>; 2],
     /// Particles per cell in an undeformed body.
     particles_per_cell: f32,
-    /// Share of the way in a substep.
-    share: f32,
 }
 
-impl Settling {
-    fn new(sides: [usize; 2], step: &Step) -> Self {
+impl Areas {
+    fn new(sides: [usize; 2], step: &Step, settling: Settling) -> Self {
         let along = |side: usize| (0..side).map(|k| open_along(k, side)).collect();
-        Self {
-            open: sides.map(along),
-            particles_per_cell: step.particles_per_cell,
-            share: (step.dt / RELAXATION_TIME).min(1.0),
-        }
+        Self { settling, open: sides.map(along), particles_per_cell: step.particles_per_cell }
     }
 
-    /// J of the nodes `from..` of a row, from their masses and the sums of mass times J, as [`corrected`](super::super::water::corrected).
+    /// Writes J of the nodes `from..` of a row, as `Grid::update`.
     #[inline(always)]
-    fn areas(&self, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
-        let across = self.open[0][row];
-        let nodes = sum.mass[from..].iter().zip(&sum.area[from..]).zip(&self.open[1][from..]);
-        for (area, ((&mass, &sum), &along)) in areas.iter_mut().zip(nodes) {
+    fn write(&self, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
+        let sums = sum.mass[from..].iter().zip(&sum.solid[from..]).zip(&sum.area[from..]);
+        let nodes = sums.zip(&self.open[1][from..]);
+        for (to, (((&mass, &solid), &area), &along)) in areas.iter_mut().zip(nodes) {
+            // J of a node without mass is read, with a weight of zero.
             let mass = if mass > f32::MIN_POSITIVE { mass } else { f32::MIN_POSITIVE };
-            let open = across * along;
-            let open = if open > LEAST_OPEN { open } else { LEAST_OPEN };
-            let target = self.particles_per_cell * open / mass;
-            let target = if target > MAX_AREA { MAX_AREA } else { target };
-            let mean = sum / mass;
-            *area = mean + (target - mean) * self.share;
+            let open = open_share([self.open[0][row], along]);
+            *to = self.settling.of_node(mass, solid, area, self.particles_per_cell * open / mass);
         }
     }
 }
@@ -164,8 +167,8 @@ impl Forces {
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let rows = sides[0];
         let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));
-        let settling = (step.moduli.law == Law::Settling).then(|| Settling::new(sides, step));
-        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor, settling }
+        let areas = step.settling.map(|settling| Areas::new(sides, step, settling));
+        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor, areas }
     }
 
     /// Velocity that an attractor adds to the nodes of a row in a substep.
@@ -185,8 +188,8 @@ pub(super) struct Update<'a> {
     pub(super) chunks: &'a [Chunk],
     /// Velocities of the row's nodes.
     pub(super) velocity: &'a mut [[f32; 2]],
-    /// What water follows at the row's nodes.
-    pub(super) water: &'a mut [f32],
+    /// What liquids follow at the row's nodes.
+    pub(super) liquid: &'a mut [f32],
     /// Scratch buffer.
     pub(super) sum: &'a mut Sum,
 }
@@ -197,11 +200,11 @@ impl Work for Update<'_> {
     /// Nodes without mass get a velocity too, but no particle is near enough to gather it.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { forces, row, chunks, velocity, water, sum } = self;
-        let Some([from, to]) = sum.add_up(row, chunks, forces.settling.is_some()) else { return };
-        match &forces.settling {
-            Some(settling) => settling.areas(row, from, sum, &mut water[from..to]),
-            None => water[from..to].copy_from_slice(&sum.mass[from..to]),
+        let Self { forces, row, chunks, velocity, liquid, sum } = self;
+        let Some([from, to]) = sum.add_up(row, chunks, forces.areas.is_some()) else { return };
+        match &forces.areas {
+            Some(areas) => areas.write(row, from, sum, &mut liquid[from..to]),
+            None => liquid[from..to].copy_from_slice(&sum.mass[from..to]),
         }
         if let Some(attractor) = &forces.attractor {
             forces.pull(attractor, row, &mut sum.pull);
@@ -241,7 +244,9 @@ fn groups<T>(nodes: &[T]) -> impl Iterator<Item = &[T; GROUP]> {
 pub(super) struct Sum {
     momentum: Vec<[f32; 2]>,
     mass: Vec<f32>,
-    /// Mass times J, with the law `settling`.
+    /// With the law `settling`, of the solids.
+    solid: Vec<f32>,
+    /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
     /// Velocity added by the attractor; zero without one.
     pull: Vec<[f32; 2]>,
@@ -253,6 +258,7 @@ impl Sum {
         Self {
             momentum: vec![[0.0; 2]; nodes],
             mass: vec![0.0; nodes],
+            solid: vec![0.0; nodes],
             area: vec![0.0; nodes],
             pull: vec![[0.0; 2]; nodes],
         }
@@ -278,11 +284,13 @@ impl Sum {
             }
         }
         if settling {
+            self.solid[from..to].fill(0.0);
             self.area[from..to].fill(0.0);
             for chunk in covering() {
+                let (solid, area) = chunk.settling_row(i);
                 let start = chunk.origin[1] as usize;
-                for (sum, more) in self.area[start..].iter_mut().zip(chunk.areas(i)) {
-                    *sum += more;
+                for (sums, more) in [(&mut self.solid, solid), (&mut self.area, area)] {
+                    sums[start..].iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
                 }
             }
         }

@@ -86,14 +86,14 @@ fn correct_area<S: Simd>(
     if simd.count(liquid_lanes) == 0 {
         return;
     }
-    let Scratch { node, offset, weight, water, .. } = scratch;
+    let Scratch { node, offset, weight, liquid: followed, .. } = scratch;
     for l in 0..LANES {
-        let [a, b, c] = field.water(node[l] as usize);
+        let [a, b, c] = field.liquid(node[l] as usize);
         let (a, b, c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
         let straight = simd.splat_ones(weight[0][l]) * a
             + simd.splat_ones(weight[1][l]) * b
             + simd.splat_ones(weight[2][l]) * c;
-        water[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
+        followed[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
     }
     let limited = |area, most: f32| {
         let most = simd.splat(most);
@@ -101,11 +101,12 @@ fn correct_area<S: Simd>(
     };
     let side = simd.load(&pack.deformation[0]);
     let area = side * simd.load(&pack.deformation[3]);
-    let area = if step.moduli.law == Law::Settling {
-        let followed = area + (simd.load(water) - area) * simd.splat(step.following);
-        limited(followed, max_area(Law::Settling))
+    let followed = simd.load(followed);
+    let area = if let Some(settling) = step.settling {
+        let following = area + (followed - area) * simd.splat(settling.following);
+        limited(following, max_area(Law::Settling))
     } else {
-        let target = limited(simd.splat(step.particles_per_cell) / simd.load(water), MAX_AREA);
+        let target = limited(simd.splat(step.particles_per_cell) / followed, MAX_AREA);
         area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0))
     };
     let side = simd.sqrt(area);

@@ -8,7 +8,7 @@
 //! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: gather velocities ([`gather`])
 //!    from the surrounding nodes ([`stencil`]), advance positions, update deformation and stress ([`law`]), scatter momentum
 //!    ([`scatter`]).
-//! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity and walls.
+//! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity and walls; what liquids follow.
 //!
 //! [`level`] selects the vector instructions at run time. The results are bit-identical for all of them and any number of
 //! threads.
@@ -49,7 +49,6 @@ use super::{
     attractor::Attractor,
     bound::Bound,
     grid::GridShape,
-    material::Law,
     particle::Particle,
     solver::{SolverSettings, Stop},
     step::Step,
@@ -121,6 +120,7 @@ impl Fast {
         }
         let step = &Step::of(settings);
         let forces = &Forces::new(settings, step, attractor);
+        self.field.clear();
         self.packs.fill(particles, step, &self.field, &mut lock(&self.pool));
         self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;
@@ -172,8 +172,8 @@ impl Fast {
         let packs = DisjointSlice::new(&mut self.packs.packs);
         let chunks = DisjointSlice::new(&mut self.chunks);
         let velocities = DisjointSlice::new(&mut self.field.velocity);
-        let waters = DisjointSlice::new(&mut self.field.water);
-        let settling = step.moduli.law == Law::Settling;
+        let liquids = DisjointSlice::new(&mut self.field.liquid);
+        let settling = step.settling.is_some();
         let mut pool = lock(&self.pool);
         let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
@@ -181,11 +181,11 @@ impl Fast {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
-                let (mine, velocity, water) = unsafe {
+                let (mine, velocity, liquid) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
-                    (mine, velocities.read(0..velocities.len()), waters.read(0..waters.len()))
+                    (mine, velocities.read(0..velocities.len()), liquids.read(0..liquids.len()))
                 };
-                let field = Nodes { velocity, water, stride };
+                let field = Nodes { velocity, liquid, stride };
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
@@ -213,10 +213,10 @@ impl Fast {
                 for row in share(rows, thread, threads) {
                     let nodes = row * stride..(row + 1) * stride;
                     // SAFETY: each row belongs to one thread; no thread reads nodes.
-                    let (velocity, water) =
-                        unsafe { (velocities.part(nodes.clone()), waters.part(nodes)) };
+                    let (velocity, liquid) =
+                        unsafe { (velocities.part(nodes.clone()), liquids.part(nodes)) };
                     let sum = &mut sum;
-                    level.run(Update { forces, row, chunks: all, velocity, water, sum });
+                    level.run(Update { forces, row, chunks: all, velocity, liquid, sum });
                 }
                 let drifted = all.iter().any(|chunk| chunk.drifted);
                 barrier.wait();
@@ -236,8 +236,8 @@ impl Fast {
         if self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step);
         }
-        let Field { velocity, water, stride, .. } = &self.field;
-        let field = Nodes { velocity, water, stride: *stride };
+        let Field { velocity, liquid, stride, .. } = &self.field;
+        let field = Nodes { velocity, liquid, stride: *stride };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs.packs[chunk.packs()];
             self.level.run(Pass::<true, false, false> { chunk, packs, field, step });

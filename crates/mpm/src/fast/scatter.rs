@@ -9,6 +9,10 @@ use super::{
     stencil::{Stencils, Weights},
     transfer::Scratch,
 };
+use eddy_frames::Material;
+
+/// In the place of the area of a solid, with the law `settling`.
+const SOLID: f32 = -1.0;
 
 /// Computes the momentum that each particle scatters, `w (lowest + i along_x + j along_y)` at the node (i, j) of its
 /// stencil, per mass (domain lengths per s).
@@ -43,9 +47,9 @@ pub(super) fn prepare<S: Simd, const SETTLING: bool>(
     }
     simd.store(fy, &mut scratch.offset);
     if SETTLING {
-        let [xx, xy, yx, yy] = law::load(simd, &pack.deformation);
-        let (area, one) = (xx * yy - xy * yx, simd.splat(1.0));
-        simd.store(simd.select(simd.less(one, area), one, area), &mut scratch.area);
+        let area = simd.load(&pack.deformation[0]) * simd.load(&pack.deformation[3]);
+        let is_liquid = law::is(simd, pack, Material::Liquid);
+        simd.store(simd.select(is_liquid, area, simd.splat(SOLID)), &mut scratch.area);
     }
     for l in 0..LANES {
         let [x, y] = [stencils.base[0][l] - chunk.origin[0], stencils.base[1][l] - chunk.origin[1]];
@@ -79,7 +83,9 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool>(
         for (i, weight) in weight.iter().enumerate() {
             cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
             cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
-            if SETTLING {
+            if SETTLING && area[l] == SOLID {
+                cell.solid[i] = cell.solid[i] + simd.splat_ones(weight[l]) * mass;
+            } else if SETTLING {
                 cell.area[i] = cell.area[i] + simd.splat_ones(weight[l] * area[l]) * mass;
             }
             momentum = momentum + next;
@@ -93,7 +99,8 @@ pub(super) struct CellSum<S: Simd> {
     at: usize,
     momentum: [S::Pairs; 3],
     mass: [S::Ones; 3],
-    /// With the law `settling`.
+    /// With the law `settling`: the mass of solids, and mass times J of liquids.
+    solid: [S::Ones; 3],
     area: [S::Ones; 3],
 }
 
@@ -101,7 +108,8 @@ impl<S: Simd> CellSum<S> {
     #[inline(always)]
     pub(super) fn zero(simd: S) -> Self {
         let none = [simd.splat_ones(0.0); 3];
-        Self { at: usize::MAX, momentum: [simd.splat_pairs(0.0); 3], mass: none, area: none }
+        let momentum = [simd.splat_pairs(0.0); 3];
+        Self { at: usize::MAX, momentum, mass: none, solid: none, area: none }
     }
 
     /// Adds the sum to the patch.
@@ -115,8 +123,10 @@ impl<S: Simd> CellSum<S> {
             simd.store_pairs(simd.load_pairs(momentum) + self.momentum[i], momentum);
             simd.store_ones(simd.load_ones(mass) + self.mass[i], mass);
             if SETTLING {
-                let area = chunk.node_areas(self.at, i);
-                simd.store_ones(simd.load_ones(area) + self.area[i], area);
+                let sums = chunk.settling_nodes(self.at, i);
+                for (nodes, more) in sums.into_iter().zip([self.solid[i], self.area[i]]) {
+                    simd.store_ones(simd.load_ones(nodes) + more, nodes);
+                }
             }
         }
     }

@@ -59,13 +59,13 @@ proptest! {
 
 #[test]
 fn all_vector_instructions_and_numbers_of_threads_give_the_same_bits() {
-    for (preset, id, law) in [
-        (Preset::MultiMaterial, 0, Law::Water),
-        (Preset::MultiMaterial, 1, Law::Settling),
-        (Preset::Fluid, 2, Law::Water),
-        (Preset::Fluid, 2, Law::Settling),
-    ] {
-        let start = solver(&Scene::generate(preset, 7, id), law);
+    let mixed = (0..).map(|id| Scene::generate(Preset::MultiMaterial, 7, id));
+    let mixed = mixed.filter(|scene| scene.materials().contains(&Material::Liquid)).take(2);
+    let scenes: Vec<_> = mixed.chain([Scene::generate(Preset::Fluid, 7, 2)]).collect();
+    for (scene, law) in
+        scenes.iter().flat_map(|scene| [(scene, Law::Water), (scene, Law::Settling)])
+    {
+        let start = solver(scene, law);
         let mut expected = start.clone();
         expected.run(500).unwrap();
         for level in Level::present() {
@@ -74,7 +74,7 @@ fn all_vector_instructions_and_numbers_of_threads_give_the_same_bits() {
                 found.run(500).unwrap();
                 assert!(
                     found.particles() == expected.particles(),
-                    "{preset} {id}, {level:?}, {threads} threads: {:?}",
+                    "{law:?}, {level:?}, {threads} threads: {:?}",
                     difference(found.particles(), expected.particles()).fold(0.0, f32::max)
                 );
             }

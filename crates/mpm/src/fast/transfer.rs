@@ -27,9 +27,9 @@ pub(super) struct Scratch {
     pub(super) weight: [Lanes; 3],
     /// Weights times the distance along x (cells).
     pub(super) moment: [Lanes; 3],
-    /// What water follows at each particle: the grid's mass, in units of a particle's, or with the law `settling` its J.
-    pub(super) water: Lanes,
-    /// J of each particle, at most 1.
+    /// What liquids follow at each particle: the grid's mass, in units of a particle's, or with the law `settling` its J.
+    pub(super) liquid: Lanes,
+    /// J of each liquid particle, with the law `settling`.
     pub(super) area: Lanes,
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
@@ -41,7 +41,7 @@ impl Scratch {
         offset: [0.0; LANES],
         weight: [[0.0; LANES]; 3],
         moment: [[0.0; LANES]; 3],
-        water: [0.0; LANES],
+        liquid: [0.0; LANES],
         area: [0.0; LANES],
         vectors: [[[0.0; 2]; LANES]; 3],
     };

@@ -12,6 +12,7 @@
 //! | `water`: separates | without tension it keeps its speed | 10 % of its speed |
 //! | `rope`: hangs | strain rho g L / 2E' in the mean | 1 % of its length, one piece |
 //! | `rope`: swings, is dropped, meets others | tension of a few weights, about 1 % | 2 %, 3 %; one piece |
+//! | `water`: a pool rests | speed as it lands; weight above in rows of cells; area | a tenth; 10 %, deviation 30 %; 2 % |
 //! | `snow`: packs | stretch in its clamp (Stomakhin et al. 2013); one heap | 1e-6; 95 % of the particles |
 //! | `jelly`: returns to its shape | sides of its second moments; mean of abs(F - R) | 3 %; 0.05 |
 //!
