@@ -1,7 +1,8 @@
 """Recurrent surrogates for particle simulations.
 
 Solver, surrogates, bags, evaluation, training and live nodes on NumPy arrays. Lengths are domain lengths (the side of the unit square),
-times are seconds, unless a name says otherwise. Arrays of positions and velocities are float32 ``[N, 2]`` in C order; arrays of
+times are seconds, unless a name says otherwise. Arrays of positions and velocities are float32 ``[N, 2]``,
+in space ``[N, 3]``, in C order; arrays of
 other libraries are read in place through the DLPack protocol.
 """
 

@@ -123,7 +123,7 @@ class Solver:
         scene: Scene,
         *,
         stiffness: float | None = None,
-        law: Literal["water", "taichi"] | None = None,
+        law: Literal["water", "settling", "taichi"] | None = None,
         viscosity: float | None = None,
         substeps: int | None = None,
         duration: float | None = None,

@@ -102,6 +102,7 @@ impl<'py, T: Element> Argument<'py, T> {
 impl Argument<'_, f32> {
     /// The elements of an array whose last axis has length `D`.
     pub(crate) fn rows<const D: usize>(&self) -> &[[f32; D]] {
+        debug_assert_eq!(self.shape.last(), Some(&D));
         self.as_slice().as_chunks().0
     }
 }

@@ -177,7 +177,10 @@ impl Stacked {
         if self.sequence.is_empty() {
             (self.dimension, self.particles) = (D, frame.len());
             self.material = material.collect();
-        } else if D != self.dimension || !material.eq(self.material.iter().copied()) {
+        } else if D != self.dimension {
+            let found = format!("{D} dimensions at sequence {}", frame.sequence);
+            return Err(wrong(topic, found, self.dimension));
+        } else if !material.eq(self.material.iter().copied()) {
             let found = format!("other particles at sequence {}", frame.sequence);
             return Err(wrong(topic, found, "those of the first frame (use Bag.frames)"));
         }

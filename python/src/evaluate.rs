@@ -128,8 +128,10 @@ pub(crate) fn skill<'py>(
     predicted: &Bound<'py, PyAny>,
     gravity: [f32; 2],
 ) -> PyResult<Bound<'py, PyAny>> {
-    let starts: Vec<&eddy_frames::Frame> =
-        starts.iter().map(|frame| frame.get().plane()).collect::<PyResult<_>>()?;
+    let starts = starts.iter().enumerate();
+    let starts: Vec<&eddy_frames::Frame> = starts
+        .map(|(index, frame)| frame.get().plane(&format!("starts[{index}]")))
+        .collect::<PyResult<_>>()?;
     let Some(first) = starts.first() else {
         return Err(wrong("starts", "no frames", "at least 1"));
     };

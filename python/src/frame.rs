@@ -17,7 +17,7 @@ use crate::arrays::{Argument, view, view_rows, wrong};
 /// `position`, `velocity`: float32 [N, 2], or [N, 3] in space. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
 /// material of all particles. These arrays are copied. `stream`: id of the simulated trajectory. `sequence`: number of the
 /// frame in it. `time`: simulation time (s). `dt`: time between two frames (s). `lower`, `upper`: corners of the domain, by
-/// default the unit square or cube. Surrogates, the solver and the node know two dimensions, and raise ValueError for three.
+/// default the unit square or cube. `Surrogate`, `Stream`, `Player` and `skill` know two dimensions, and raise ValueError for three.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Frame {
     pub(crate) inner: AnyFrame,
@@ -36,12 +36,43 @@ impl<F: Into<AnyFrame>> From<F> for Frame {
 }
 
 impl Frame {
-    /// The frame for what knows two dimensions.
+    /// The frame, an argument of this name, for what knows two dimensions.
     ///
     /// # Errors
     /// `ValueError` for a frame of three.
-    pub(crate) fn plane(&self) -> PyResult<&eddy_frames::Frame> {
-        (&self.inner).try_into().map_err(invalid)
+    pub(crate) fn plane(&self, name: &str) -> PyResult<&eddy_frames::Frame> {
+        let plane = (&self.inner).try_into();
+        plane.map_err(|_: InvalidFrame| wrong(name, "a frame of 3 dimensions", "one of 2"))
+    }
+}
+
+/// The fields of a new frame besides position and velocity.
+struct Fields {
+    stream: u64,
+    sequence: u64,
+    stamp: Stamp,
+    dt: f32,
+    lower: Option<Vec<f32>>,
+    upper: Option<Vec<f32>>,
+    material: Vec<Material>,
+}
+
+impl Fields {
+    fn frame<const D: usize>(
+        self,
+        position: &Argument<'_, f32>,
+        velocity: &Argument<'_, f32>,
+    ) -> PyResult<Frame>
+    where
+        eddy_frames::Frame<D>: Into<AnyFrame>,
+    {
+        let Self { stream, sequence, stamp, dt, lower, upper, material } = self;
+        let domain: Domain<D> =
+            Domain { lower: corner("lower", lower, 0.0)?, upper: corner("upper", upper, 1.0)? };
+        let (position, velocity) = (position.rows().to_vec(), velocity.rows().to_vec());
+        eddy_frames::Frame::new(stream, sequence, stamp, dt, domain, position, velocity, material)
+            .map(Frame::from)
+            .map_err(invalid)
     }
 }
 
@@ -74,21 +105,10 @@ impl Frame {
             return Err(wrong("time", time, "a finite number of seconds"));
         }
         let stamp = Stamp::from_seconds(time);
-        macro_rules! frame {
-            ($dimension:literal) => {{
-                let (lower, upper) = (corner("lower", lower, 0.0)?, corner("upper", upper, 1.0)?);
-                let (position, velocity) = (position.rows().to_vec(), velocity.rows().to_vec());
-                let domain = Domain::<$dimension> { lower, upper };
-                eddy_frames::Frame::new(
-                    stream, sequence, stamp, dt, domain, position, velocity, material,
-                )
-                .map(Self::from)
-                .map_err(invalid)
-            }};
-        }
+        let fields = Fields { stream, sequence, stamp, dt, lower, upper, material };
         match dimension {
-            3 => frame!(3),
-            _ => frame!(2),
+            3 => fields.frame::<3>(&position, &velocity),
+            _ => fields.frame::<2>(&position, &velocity),
         }
     }
 

@@ -17,7 +17,7 @@ use crate::{
 
 /// A running simulation (MLS-MPM). It is an iterator of frames.
 ///
-/// Settings that are None are those of `scene`: `stiffness` is Young's modulus E, `law` is `water` or `taichi`, `viscosity`
+/// Settings that are None are those of `scene`: `stiffness` is Young's modulus E, `law` is `water`, `settling` or `taichi`, `viscosity`
 /// is in domain lengths^2 per s, `substeps` are per frame, `duration` is in s. The number of `threads` does not change the
 /// result.
 #[pyclass(frozen, module = "eddy")]

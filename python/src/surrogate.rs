@@ -38,7 +38,7 @@ pub(crate) struct Surrogate {
 pub(crate) struct Stream {
     surrogate: Py<Surrogate>,
     hidden: Mutex<HiddenState>,
-    /// The first frame: domain, materials, interval of all others.
+    /// The first frame without its motion: domain, materials, interval of all others.
     first: Arc<eddy_frames::Frame>,
 }
 
@@ -71,10 +71,14 @@ impl Surrogate {
         first: &Bound<'_, Frame>,
         stiffness: Option<f32>,
     ) -> PyResult<Stream> {
-        let first = Arc::new(first.get().plane()?.clone());
+        let first = first.get().plane("first")?;
         let surrogate = &slf.get().inner;
-        let hidden = surrogate.start_with_stiffness(&first, stiffness).map_err(unfit)?;
-        Ok(Stream { surrogate: slf.clone().unbind(), hidden: Mutex::new(hidden), first })
+        let hidden = surrogate.start_with_stiffness(first, stiffness).map_err(unfit)?;
+        Ok(Stream {
+            surrogate: slf.clone().unbind(),
+            hidden: Mutex::new(hidden),
+            first: Arc::new(without_motion(first)),
+        })
     }
 
     /// Observes a frame of each stream and returns the predicted next frames, in the order of the streams. Streams run side by
@@ -98,11 +102,15 @@ impl Surrogate {
                 let place = format!("streams[{index}]");
                 return Err(wrong(&place, "a stream that is there twice", "each stream once"));
             }
-            stream.get().check(slf, FrameView::from(frames[index].get().plane()?))?;
+        }
+        let frames = frames.iter().enumerate();
+        let frames: Vec<&eddy_frames::Frame> = frames
+            .map(|(index, frame)| frame.get().plane(&format!("frames[{index}]")))
+            .collect::<PyResult<_>>()?;
+        for (stream, frame) in streams.iter().zip(&frames) {
+            stream.get().check(slf, FrameView::from(*frame))?;
         }
         let streams: Vec<&Stream> = streams.iter().map(Bound::get).collect();
-        let frames: Vec<&eddy_frames::Frame> =
-            frames.iter().map(|frame| frame.get().plane()).collect::<PyResult<_>>()?;
         // The stepper before the streams, as everywhere: two calls with the same streams cannot wait for each other.
         let predicted = detached(py, &slf.get().stepper, |stepper| {
             let mut hidden: Vec<_> = streams.iter().map(|stream| lock(&stream.hidden)).collect();
@@ -145,7 +153,7 @@ impl Surrogate {
 
     /// What the network was not trained for in a stream that begins with this frame, one sentence each.
     fn warnings(&self, first: &Bound<'_, Frame>) -> PyResult<Vec<String>> {
-        let warnings = self.inner.warnings(first.get().plane()?, Stated::default());
+        let warnings = self.inner.warnings(first.get().plane("first")?, Stated::default());
         Ok(warnings.iter().map(ToString::to_string).collect())
     }
 
@@ -179,7 +187,7 @@ impl Stream {
 impl Stream {
     /// Observes a frame, true or predicted, and returns the predicted next frame.
     fn step(&self, py: Python<'_>, frame: &Bound<'_, Frame>) -> PyResult<Frame> {
-        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane()?);
+        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane("frame")?);
         self.check(surrogate, FrameView::from(frame))?;
         let stepper = &surrogate.get().stepper;
         let next = detached(py, stepper, |stepper| stepper.step(&mut lock(&self.hidden), frame));
@@ -222,7 +230,7 @@ impl Stream {
         frame: &Bound<'_, Frame>,
         frames: usize,
     ) -> PyResult<Vec<Frame>> {
-        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane()?);
+        let (surrogate, frame) = (self.surrogate.bind(py), frame.get().plane("frame")?);
         self.check(surrogate, FrameView::from(frame))?;
         let mut predicted: Vec<eddy_frames::Frame> = Vec::new();
         for _ in 0..frames {
@@ -262,6 +270,16 @@ pub(crate) fn load(
         engine::Surrogate::load(&checkpoint, threads)
     };
     py.detach(load).map_err(raise::<CheckpointError>)
+}
+
+/// A frame with the materials of another, which has no positions.
+fn without_motion(of: &eddy_frames::Frame) -> eddy_frames::Frame {
+    eddy_frames::Frame {
+        sequence: of.sequence,
+        stamp: of.stamp,
+        material: of.material.clone(),
+        ..empty(of)
+    }
 }
 
 /// A frame to predict into.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 PARTICLES = 30
-TWO = "lower: found 3 dimensions, expected 2"
+TWO = "found a frame of 3 dimensions, expected one of 2"
 
 
 def frame(sequence: int = 0) -> eddy.Frame:
@@ -45,7 +45,7 @@ def test_arrays_of_frames_of_both_dimensions_are_refused(tmp_path: Path) -> None
         writer.write_frame(frame())
         writer.write_frame(flat)
     assert [one.position.shape[1] for one in eddy.Bag(tmp_path / "bag").frames()] == [3, 2]
-    with pytest.raises(ValueError, match="found other particles at sequence 1"):
+    with pytest.raises(ValueError, match="/particles: found 2 dimensions at sequence 1, expected 3"):
         eddy.Bag(tmp_path / "bag").arrays()
 
 

@@ -85,11 +85,15 @@ fn streams<const D: usize>(bag: &Path) -> Streams<D> {
 }
 
 fn try_export(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), ExchangeError> {
-    export(&streams::<2>(bag), None, format, to, &mut || true)
+    try_export_of::<2>(bag, format, to)
 }
 
-fn try_export_of_space(bag: &Path, format: ExportFormat, to: &Path) -> Result<(), ExchangeError> {
-    export(&streams::<3>(bag), None, format, to, &mut || true)
+fn try_export_of<const D: usize>(
+    bag: &Path,
+    format: ExportFormat,
+    to: &Path,
+) -> Result<(), ExchangeError> {
+    export(&streams::<D>(bag), None, format, to, &mut || true)
 }
 
 fn try_import(
@@ -126,7 +130,7 @@ fn any_stream() -> impl Strategy<Value = Vec<Frame>> {
         move |(particles, frames, changes, stream, first)| {
             let vectors = || prop::collection::vec([number(), number()], particles * frames);
             let kinds = if changes { particles * frames } else { particles };
-            let materials = prop::collection::vec(0..4u8, kinds);
+            let materials = prop::collection::vec(0..Material::COUNT as u8, kinds);
             (vectors(), vectors(), materials, 1e-6f32..10.0).prop_map(
                 move |(position, velocity, material, dt)| {
                     let of_frame = |k: usize| {
@@ -188,19 +192,28 @@ proptest! {
         let (bag, file) = (folder.path().join("bag"), folder.path().join("stream.npz"));
         let out = folder.path().join("out");
         write_bag(&bag, &frames);
-        try_export_of_space(&bag, ExportFormat::Npz, &file).unwrap();
+        try_export_of::<3>(&bag, ExportFormat::Npz, &file).unwrap();
         try_import(&file, ImportFormat::Npz, ImportOverrides::default(), &out).unwrap();
         let out = out.join(format!("stream_{:04}", frames[0].stream));
         prop_assert_eq!(&frames_in::<3>(&out), &frames);
-        if frames.len() < 2 || frames.iter().any(|frame| frame.material != frames[0].material) {
+        if frames.len() < 2 {
             return Ok(());
         }
+        let mut frames = frames;
+        for k in 1..frames.len() {
+            frames[k].material = frames[0].material.clone();
+        }
+        let bag = folder.path().join("constant");
+        write_bag(&bag, &frames);
         let (set, out) = (folder.path().join("set"), folder.path().join("positions"));
-        try_export_of_space(&bag, ExportFormat::Gns, &set).unwrap();
+        try_export_of::<3>(&bag, ExportFormat::Gns, &set).unwrap();
         try_import(&set, ImportFormat::Gns, ImportOverrides::default(), &out).unwrap();
-        for (back, frame) in frames_in::<3>(&out.join("stream_0000")).iter().zip(&frames) {
+        let back = frames_in::<3>(&out.join("stream_0000"));
+        prop_assert_eq!(back.len(), frames.len());
+        for (back, frame) in back.iter().zip(&frames) {
             prop_assert_eq!(&back.position, &frame.position);
-            prop_assert_eq!(back.domain, frame.domain);
+            prop_assert_eq!(&back.material, &frame.material);
+            prop_assert_eq!((back.dt, back.domain), (frame.dt, frame.domain));
         }
     }
 
@@ -419,7 +432,7 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
         format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n")
     };
     type Change<'a> = Option<(&'a str, String, Vec<u8>)>;
-    let cases: [(&str, Change<'_>, &str); 10] = [
+    let cases: [(&str, Change<'_>, &str); 11] = [
         (
             "stiffness",
             Some(("stiffness", header("'<f4'", "()"), (-3f32).to_le_bytes().to_vec())),
@@ -435,6 +448,11 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
             "position",
             Some(("position", header("'<f4'", "(2, 5, 4)"), vec![0; 160])),
             "found shape [2, 5, 4], expected [frames, particles, 2 or 3]",
+        ),
+        (
+            "position",
+            Some(("position", header("'<f4'", "(2, 5, 3)"), vec![0; 120])),
+            "lower: found [-2.0, 0.5], expected 3 numbers as position has",
         ),
         (
             "position",
@@ -468,6 +486,20 @@ fn archives_that_cannot_be_used_are_refused_with_the_reason() {
         assert!(error.contains("changed.npz") && error.contains(expected), "{error}");
         assert!(!out.exists());
     }
+}
+
+#[test]
+fn a_domain_of_another_dimension_is_refused() {
+    let folder = tempdir().unwrap();
+    let (bag, file) = (folder.path().join("bag"), folder.path().join("stream.npz"));
+    write_bag(&bag, &[frame(3, 0, 5), frame(3, 1, 5)].map(|frame| in_space(&frame)));
+    try_export_of::<3>(&bag, ExportFormat::Npz, &file).unwrap();
+    let given = ImportOverrides { domain: Some(WIDE.into()), ..ImportOverrides::default() };
+    let out = folder.path().join("out");
+    let error = try_import(&file, ImportFormat::Npz, given, &out).unwrap_err().to_string();
+    let expected = "domain: found -2 to 2 x 0.5 to 1.5, expected 3 dimensions as position has";
+    assert!(error.contains("stream.npz") && error.contains(expected), "{error}");
+    assert!(!out.exists());
 }
 
 #[test]

@@ -79,7 +79,7 @@ fn exports_have_three_axes() {
     assert_eq!(lines.next(), Some("stream,sequence,time,particle,material,x,y,z,vx,vy,vz"));
     assert_eq!(lines.next(), Some("3,0,0,0,liquid,0.3,0.9,0.2,0,-0.625,0"));
     let grid = fs::read_to_string(export("vtu").join("stream_0003/000000.vtu")).unwrap();
-    let strain = r#"Name="strain" NumberOfComponents="6" ComponentName0="xx" ComponentName1="yy" ComponentName2="zz" ComponentName3="xy""#;
+    let strain = r#"Name="strain" NumberOfComponents="6" ComponentName0="xx" ComponentName1="yy" ComponentName2="zz" ComponentName3="xy" ComponentName4="yz" ComponentName5="xz""#;
     assert!(grid.contains(strain), "{grid}");
     let metadata = fs::read_to_string(export("gns").join("metadata.json")).unwrap();
     let metadata: serde_json::Value = serde_json::from_str(&metadata).unwrap();

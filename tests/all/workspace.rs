@@ -242,6 +242,8 @@ fn materials_are_listed_alike_in_every_language() {
     let list =
         |entry: fn(Material) -> String, between: &str| Material::ALL.map(entry).join(between);
     let numbered = list(|material| format!("{} {}", material as u8, material.name()), ", ");
+    let names = list(|material| format!("\"{}\"", material.name()), ", ");
+    let named = list(|material| material.name().to_owned(), ", ").replace(", rope", " or rope");
     let constants = list(
         |material| format!("uint8 {}={}", material.name().to_uppercase(), material as u8),
         "\n",
@@ -251,6 +253,11 @@ fn materials_are_listed_alike_in_every_language() {
         ("crates/node/src/viewer/page/painter.js", format!("uniform vec3 materials[{count}];")),
         ("crates/node/src/viewer/page/painter.js", format!("min(material, {}u)", count - 1)),
         ("python/src/frame.rs", numbered),
+        ("python/src/frame.rs", format!("\"{named}\"")),
+        ("src/cli/bag.rs", named),
+        ("python/eddy/__init__.py", format!("({names})")),
+        ("tests/peers/torch_core.py", format!("MATERIALS = ({names})")),
+        ("tests/peers/check_exports.py", format!("MATERIALS = [{names}]")),
     ] {
         let found = fs::read_to_string(root().join(file)).unwrap();
         assert!(found.contains(&text), "{file}: expected {text:?}");

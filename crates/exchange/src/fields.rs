@@ -7,13 +7,14 @@ use eddy_inference::kernels::spacing::{median, spacing};
 
 /// Radius of the kernel of the density (spacings).
 const RADIUS: f32 = 2.5;
-/// Maximum distance of neighbours in the first frame (spacings): the eight around a particle of a lattice.
+/// Maximum distance of neighbours in the first frame (spacings): the 8 around a particle of a square lattice, 18 of a cubic one.
 const REACH: f32 = 1.6;
 /// Maximum number of particles of a cell that are summed over: where particles are pressed together, all pairs would be the
 /// square of their number.
 const MAX_CANDIDATES: usize = 256;
-/// Smallest ratio of the extents of a neighbourhood, squared, that has a strain in all directions.
-const MIN_FLATNESS: f32 = 1e-3;
+/// Smallest determinant of the second moments of a neighbourhood, relative to that of equal extents, that has a strain in all
+/// directions: in the plane, extents of 1 and .03.
+const MIN_FLATNESS: f32 = 4e-3;
 
 /// Fields of one frame.
 pub(super) struct Fields {
@@ -113,7 +114,8 @@ impl<const D: usize> Reference<D> {
             array::from_fn(|row| array::from_fn(|column| cofactor(&rests, row, column)));
         let determinant = (0..D).map(|k| rests[0][k] * cofactor[0][k]).sum::<f32>();
         let trace: f32 = (0..D).map(|k| rests[k][k]).sum();
-        let is_flat = determinant <= (0..D).fold(MIN_FLATNESS, |least, _| least * trace);
+        let is_flat =
+            determinant <= (0..D).fold(MIN_FLATNESS, |least, _| least * (trace / D as f32));
         // Of a symmetric matrix, whose inverse is that of its cofactors over its determinant.
         let gradient = moments.map(|moment| {
             cofactor.map(|of| (0..D).map(|k| moment[k] * of[k]).sum::<f32>() / determinant)
@@ -289,9 +291,24 @@ mod tests {
         let turned = block(|[x, y, z]| [0.6 * x - 0.8 * z, y, 0.8 * x + 0.6 * z]);
         let turned = Reference::new(&rest).fields(&turned);
         assert!(turned.strain.iter().all(|e| e.abs() < 1e-3));
-        let flat = block(|[x, y, _]| [x, y, 0.0]);
-        let flat = Reference::new(&flat).fields(&rest);
-        assert!(flat.strain.iter().all(|e| e.is_nan()), "neighbours in one plane");
+        // F = [[1, .1, .2], [.3, 1, .4], [.5, .6, 1]].
+        let sheared = block(|[x, y, z]| {
+            [x + 0.1 * y + 0.2 * z, 0.3 * x + y + 0.4 * z, 0.5 * x + 0.6 * y + z]
+        });
+        let sheared = Reference::new(&rest).fields(&sheared);
+        assert_near(&sheared.strain[6 * middle..], [0.17, 0.185, 0.1, 0.35, 0.51, 0.41]);
+        // A layer whose particles lie above and below a plane by turns.
+        for (thickness, is_flat) in [(0.0, true), (0.01, true), (0.05, false)] {
+            let mut layer = block(|x| x);
+            layer.position.truncate(SIDE * SIDE);
+            layer.velocity.truncate(SIDE * SIDE);
+            layer.material.truncate(SIDE * SIDE);
+            for (k, [.., z]) in layer.position.iter_mut().enumerate() {
+                *z = if k % 2 == 0 { thickness * SPACING } else { -thickness * SPACING };
+            }
+            let strain = Reference::new(&layer).fields(&layer).strain;
+            assert_eq!(strain[6 * (SIDE * SIDE / 2)].is_nan(), is_flat, "{thickness}");
+        }
     }
 
     #[test]

@@ -204,10 +204,11 @@ impl Fields<'_> {
     fn scale(&self) -> Result<Scale, ExchangeError> {
         let dt = self.number("dt")?;
         let dt = dt.ok_or_else(|| self.fault("dt", "nothing", "the seconds between two frames"))?;
-        let expected = "[[left, right], [bottom, top]]";
+        let expected = "[[left, right], [bottom, top]], in space a third pair";
         let bounds = self.fields.get("bounds");
         let found = || bounds.map_or("nothing".to_owned(), Value::to_string);
         let axes = bounds.and_then(|bounds| <Vec<[f32; 2]>>::deserialize(bounds).ok());
+        let axes = axes.filter(|axes| (2..=3).contains(&axes.len()));
         let bounds = axes.ok_or_else(|| self.fault("bounds", found(), expected))?;
         Ok(Scale { dt, bounds, write_every: self.number("write_every")? })
     }
@@ -362,6 +363,10 @@ mod tests {
             (
                 r#"{"dt": 1, "bounds": [0, 1]}"#,
                 "metadata.json: bounds: found [0,1], expected [[left",
+            ),
+            (
+                r#"{"dt": 1, "bounds": [[0, 1]]}"#,
+                "metadata.json: bounds: found [[0,1]], expected [[left",
             ),
         ] {
             let message = scale(text).unwrap_err();

@@ -31,8 +31,9 @@ impl FrameSelection {
     /// # Errors
     /// [`ExchangeError::Bag`] when the first bag cannot be read, does not have the topic, or begins with an invalid frame.
     pub fn dimension(&self) -> Result<usize, ExchangeError> {
-        let Some(bag) = find_bags(&self.bags)?.into_iter().next() else { return Ok(2) };
-        let first = BagReader::open(&bag)?.frames_of(&self.topic)?.next().transpose()?;
+        // There is at least one.
+        let bag = &find_bags(&self.bags)?[0];
+        let first = BagReader::open(bag)?.frames_of(&self.topic)?.next().transpose()?;
         Ok(if let Some(AnyFrame::Three(_)) = first { 3 } else { 2 })
     }
 }

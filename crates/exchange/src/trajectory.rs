@@ -135,7 +135,11 @@ impl RawTrajectory {
         array: Option<Array<f32>>,
     ) -> Result<(), ExchangeError> {
         let array = array.map(|array| match (quantity, array.values.as_slice()) {
-            (Quantity::Gravity, &[0.0, along_y]) => Array { shape: vec![], values: vec![along_y] },
+            (Quantity::Gravity, &[0.0, along_y] | &[0.0, along_y, 0.0])
+                if array.values.len() == self.dimension =>
+            {
+                Array { shape: vec![], values: vec![along_y] }
+            }
             _ => array,
         });
         let Some(found) = self.scalar(name, array)? else { return Ok(()) };
@@ -270,7 +274,9 @@ impl RawTrajectory {
         overrides: &ImportOverrides,
     ) -> Result<Domain<D>, ExchangeError> {
         if let Some(domain) = overrides.domain.or(self.domain) {
-            let expected = format!("{D} dimensions as position has");
+            let expected = format!(
+                "{D} dimensions as position has (lower and upper, bounds of metadata.json, --domain)"
+            );
             return Domain::try_from(domain)
                 .map_err(|_| self.fault("domain", domain.to_string(), expected));
         }

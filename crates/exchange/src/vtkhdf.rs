@@ -243,7 +243,7 @@ mod tests {
             topic: "/particles".into(),
             ..FrameSelection::default()
         };
-        let streams = Streams::find(&selection, &mut || true).unwrap();
+        let streams: Streams = Streams::find(&selection, &mut || true).unwrap();
         let path = folder.path().join("series.vtkhdf");
         write(&streams, &streams.tracks()[0], Some(&streams), &path, &mut || true).unwrap();
 

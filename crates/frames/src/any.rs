@@ -58,7 +58,7 @@ impl AnyDomain {
         self.lower.dimension as usize
     }
 
-    /// The domain with these corners; `None` unless both have two or three coordinates.
+    /// The domain with these corners; `None` unless both have two coordinates or both have three.
     pub fn of_corners(lower: &[f32], upper: &[f32]) -> Option<Self> {
         if let (Ok(lower), Ok(upper)) = (lower.try_into(), upper.try_into()) {
             return Some(Domain::<2> { lower, upper }.into());

@@ -330,10 +330,8 @@ impl Inference {
     fn stage(&self, stage: FrameStage, rows: usize) -> Result<()> {
         let signal = self.signal.pointer();
         match stage {
-            FrameStage::Encode => {
-                if self.constants.mean() {
-                    self.means(rows)?;
-                }
+            FrameStage::Means => self.means(rows),
+            FrameStage::Maxima => {
                 self.points.as_ref().map_or(Ok(()), |points| self.maxima(points, rows))
             }
             FrameStage::Core(layer) => self.core_layer(layer, rows),

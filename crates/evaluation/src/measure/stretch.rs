@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::Mean;
-use eddy_frames::Material;
+use eddy_frames::{Material, distance};
 
 /// Maximum distance of neighbours at rest (spacings): the eight around a particle of a lattice.
 const REACH: f32 = 1.5;
@@ -68,10 +68,6 @@ impl NeighbourPairs {
             distortion.add((ratio - 1.0) * (ratio - 1.0), 1.0);
         }
     }
-}
-
-fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! A described network as a list of operations, in the order in which they are computed.
 //!
 //! The definition in burn and the passes of training on processors (`eddy-learning`) compute it one operation after the other. The
-//! streaming [`engine`](crate::engine) and the kernels for GPUs (`eddy-cuda`) run it in stages, each of which has operations between two
-//! waits for all that is computed.
+//! streaming [`engine`](crate::engine) and the kernels for GPUs (`eddy-cuda`) run it in stages of several operations.
 //!
 //! An operation reads and writes lists of rows. Each list is written once; whether two of them share memory is up to who runs them.
 
@@ -143,11 +142,13 @@ pub enum Stage {
     Decode,
 }
 
-/// The same of the frame model.
+/// Parts of the frame model, in the order in which they are computed; gradients go back in the reverse order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameStage {
-    /// Features, encoder and pooling over the particles.
-    Encode,
+    /// Features, first layer of the encoder, mean over the particles, second layer.
+    Means,
+    /// Features, both layers of the encoder, largest numbers over the particles.
+    Maxima,
     /// A layer of the core, from 0.
     Core(usize),
     /// The layer between core and decoder.
@@ -230,12 +231,14 @@ impl Plan {
     /// The stages of a frame model.
     pub fn frame_stages(&self) -> Vec<FrameStage> {
         let begins = |(index, operation): (usize, &Operation)| match operation.kind {
-            Kind::FrameFeatures => Some(FrameStage::Encode),
-            // With the linear layers before it.
+            // With the features before it and the layer behind it.
+            Kind::MeanOfLinear { .. } => Some(FrameStage::Means),
+            // With the linear layers before them.
+            Kind::Max => Some(FrameStage::Maxima),
             Kind::Cell { number, .. } => Some(FrameStage::Core(number)),
             Kind::Linear { .. } if index == self.core.end => Some(FrameStage::Mix),
             Kind::Advance => Some(FrameStage::Decode),
-            Kind::Linear { .. } | Kind::MeanOfLinear { .. } | Kind::Max => None,
+            Kind::Linear { .. } | Kind::FrameFeatures => None,
             Kind::Expect
             | Kind::ParticleFeatures
             | Kind::ToNodes
@@ -446,6 +449,15 @@ mod tests {
                 let stages = [Stage::Encode, Stage::ToNodes].into_iter().chain(layers);
                 let stages: Vec<_> = stages.chain([Stage::Decode]).collect();
                 prop_assert_eq!(plan.stages(), stages);
+            } else {
+                let mut stages = match pooling {
+                    Pooling::Mean => vec![FrameStage::Means],
+                    Pooling::Max => vec![FrameStage::Maxima],
+                    Pooling::MeanMax => vec![FrameStage::Means, FrameStage::Maxima],
+                };
+                stages.extend((0..layers).map(FrameStage::Core));
+                stages.extend([FrameStage::Mix, FrameStage::Decode]);
+                prop_assert_eq!(plan.frame_stages(), stages);
             }
             let weights = initial_weights(&description, 1);
             prop_assert_eq!(plan.by_name(&plan.in_order(&weights)), weights);

@@ -113,7 +113,7 @@ impl FrameModel {
             mixer: linear("mixer"),
             activation: description.frame.activation,
             pooling: description.frame.pooling,
-            stages: stages(&Plan::new(description), description.frame.pooling),
+            stages: stages(&Plan::new(description)),
             particles: decoder.output() / 2,
             decoder,
             hidden: description.sizes.hidden,
@@ -214,15 +214,13 @@ impl FrameModel {
 }
 
 /// The parts of the plan's stages that threads share.
-fn stages(plan: &Plan, pooling: Pooling) -> Vec<Stage> {
-    let (mean, maximum) = ([Stage::PoolMean, Stage::Encode], [Stage::PoolMax, Stage::JoinMax]);
-    let parts = |stage| match (stage, pooling) {
-        (FrameStage::Encode, Pooling::Mean) => mean.to_vec(),
-        (FrameStage::Encode, Pooling::Max) => maximum.to_vec(),
-        (FrameStage::Encode, Pooling::MeanMax) => [mean, maximum].concat(),
-        (FrameStage::Core(number), _) => vec![Stage::Core(number)],
-        (FrameStage::Mix, _) => vec![Stage::Mix],
-        (FrameStage::Decode, _) => vec![Stage::Decode],
+fn stages(plan: &Plan) -> Vec<Stage> {
+    let parts = |stage| match stage {
+        FrameStage::Means => vec![Stage::PoolMean, Stage::Encode],
+        FrameStage::Maxima => vec![Stage::PoolMax, Stage::JoinMax],
+        FrameStage::Core(number) => vec![Stage::Core(number)],
+        FrameStage::Mix => vec![Stage::Mix],
+        FrameStage::Decode => vec![Stage::Decode],
     };
     plan.frame_stages().into_iter().flat_map(parts).collect()
 }

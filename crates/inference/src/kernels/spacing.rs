@@ -58,8 +58,9 @@ mod tests {
         assert_eq!(spacing(&lattice), 0.25);
         assert_eq!(spacing(&[[0.5; 2]]), f32::INFINITY);
         assert_eq!(spacing::<2>(&[]), f32::INFINITY);
-        let cubic: Vec<_> = lattice.iter().map(|&[x, y]| [0.5 * y, 3.0 * x, 0.25 * y]).collect();
-        assert_eq!(spacing(&cubic), 0.3125f32.sqrt());
+        let place =
+            |k: usize| [0.5 * (k % 3) as f32, 0.75 * (k / 3 % 4) as f32, 0.625 * (k / 12) as f32];
+        assert_eq!(spacing(&(0..120).map(place).collect::<Vec<_>>()), 0.5, "longest along z");
         assert_eq!(median(vec![0.3, 0.1, 0.2]), 0.2);
     }
 

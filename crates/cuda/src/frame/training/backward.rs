@@ -21,7 +21,9 @@ impl Training {
             FrameStage::Decode => self.decoder_backward(first, frames),
             FrameStage::Mix => self.mixer_backward(first, frames),
             FrameStage::Core(number) => self.core_backward(number, first, frames),
-            FrameStage::Encode => self.encoder_backward(first, frames),
+            // Both poolings have one encoder, whose gradient comes at the end.
+            stage if stage == self.stages[0] => self.encoder_backward(first, frames),
+            FrameStage::Means | FrameStage::Maxima => Ok(()),
         })
     }
 

@@ -33,7 +33,7 @@ pub(super) struct Decoded {
 
 impl Training {
     /// The means of frames `first..first + frames` over their particles, through the second Linear.
-    pub(super) fn means(&self, first: usize, frames: usize) -> Result<()> {
+    fn means(&self, first: usize, frames: usize) -> Result<()> {
         let (batch, rows) = (self.settings.batch, frames * self.settings.batch);
         let Constants { encoder, particles, .. } = self.constants;
         let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
@@ -71,18 +71,15 @@ impl Training {
     /// Frames `first..first + frames` through the network.
     pub(super) fn forward(&self, first: usize, frames: usize) -> Result<()> {
         self.stages.iter().try_for_each(|&stage| match stage {
-            FrameStage::Encode => self.encode(first, frames),
+            FrameStage::Means => self.means(first, frames),
+            FrameStage::Maxima => {
+                let maximum = self.maximum.as_ref();
+                maximum.map_or(Ok(()), |maximum| self.maxima(maximum, first, frames))
+            }
             FrameStage::Core(number) => self.core_forward(number, first, frames),
             FrameStage::Mix => self.mix(first, frames),
             FrameStage::Decode => self.decode(first, frames),
         })
-    }
-
-    fn encode(&self, first: usize, frames: usize) -> Result<()> {
-        if self.constants.mean() {
-            self.means(first, frames)?;
-        }
-        self.maximum.as_ref().map_or(Ok(()), |maximum| self.maxima(maximum, first, frames))
     }
 
     fn mix(&self, first: usize, frames: usize) -> Result<()> {
