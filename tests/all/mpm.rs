@@ -123,6 +123,23 @@ fn threads_change_nothing_but_the_time() {
 }
 
 #[test]
+fn a_finer_solver_records_the_particles_of_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let [usual, finer] = ["usual", "finer"].map(|name| folder.path().join(name));
+    let short = ["--scenes", "1", "--seed", "3", "--duration", "0.1", "--fields"];
+    succeed(simulate(&usual, &short));
+    succeed(simulate(&finer, &[&short[..], &["--resolve", "2"]].concat()));
+    let scene = &manifest(&finer)["scenes"][0]["scene"];
+    assert_eq!(scene["solver"]["resolve"], 2);
+    let [usual, finer] = [usual, finer].map(|bag| frames(&bag.join("scene_0000")));
+    assert_eq!(usual.len(), finer.len());
+    for (usual, finer) in usual.iter().zip(&finer) {
+        assert_eq!((usual.domain, &usual.material), (finer.domain, &finer.material));
+    }
+    assert_ne!(usual[0].position, finer[0].position);
+}
+
+#[test]
 fn scenes_of_more_particles_are_wider_and_the_same_command_goes_on_with_them() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path();

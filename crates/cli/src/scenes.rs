@@ -72,6 +72,10 @@ pub struct SceneArgs {
     /// Solver substeps per frame; unstable values are rejected [default: from the CFL condition].
     #[arg(long, value_name = "N")]
     pub substeps: Option<u32>,
+    /// Solve with cells and particles that are N times finer, and record one of N x N particles: truth of a finer solver, about N^3 times
+    /// as dear [default: the scene's; 1].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=8))]
+    pub resolve: Option<u32>,
     /// Young's modulus of every material (density x velocity^2); LOW..HIGH draws one for each random scene, its logarithm uniform
     /// in this range [default: the scene's; 1000, preset stiff 1e5].
     #[arg(long, value_name = "E|LOW..HIGH", value_parser = Stiffness::parse)]
@@ -107,7 +111,8 @@ impl SceneArgs {
             Some(file) => file.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
             None => self.preset.clone(),
         };
-        let SceneArgs { law, viscosity, substeps, duration, particle_order: order, .. } = *self;
+        let SceneArgs { law, viscosity, substeps, resolve, duration, .. } = *self;
+        let order = self.particle_order;
         // A range is part of the source.
         let stiffness = self.stiffness.and_then(Stiffness::one);
         Ok(SimulationRequest {
@@ -116,7 +121,7 @@ impl SceneArgs {
             scene_name,
             scenes: self.scenes,
             seed: self.seed,
-            settings: Settings { stiffness, law, viscosity, substeps, duration, order },
+            settings: Settings { stiffness, law, viscosity, substeps, resolve, duration, order },
             fields: self.fields,
             device: (self.device != Device::Cpu).then_some("cuda"),
             threads,

@@ -81,7 +81,11 @@ impl Restart {
             let (present, speed) = (scene.materials(), scene.fastest());
             minimum_substeps(&present, &scene.materials, grid.dx, speed, interval).0
         };
-        let of_truth = || scene.solver.substeps.unwrap_or_else(least);
+        // Those of a finer solver are for smaller cells.
+        let of_truth = || match scene.solver.resolve {
+            None | Some(1) => scene.solver.substeps.unwrap_or_else(least),
+            Some(_) => least(),
+        };
         let substeps = match self {
             Self::Full => of_truth(),
             Self::HalfStep => of_truth().div_ceil(2),

@@ -69,6 +69,20 @@ impl Body {
         points.iter().map(|[x, y]| [x0 + cos * x - sin * y, y0 + sin * x + cos * y]).collect()
     }
 
+    /// Offsets of `times`^2 particles that take the place of one of its lattice, `spacing` apart (domain lengths).
+    pub(super) fn offsets(
+        &self,
+        spacing: f32,
+        times: u32,
+    ) -> impl Iterator<Item = [f32; 2]> + use<> {
+        let (sin, cos) = self.angle_degrees.to_radians().sin_cos();
+        let along =
+            move |number: u32| spacing * (number as f32 - 0.5 * (times - 1) as f32) / times as f32;
+        (0..times)
+            .flat_map(move |i| (0..times).map(move |j| [along(i), along(j)]))
+            .map(move |[x, y]| [cos * x - sin * y, sin * x + cos * y])
+    }
+
     /// Whether a position lies in its outline.
     pub(super) fn contains(&self, position: [f32; 2]) -> bool {
         let (sin, cos) = f64::from(self.angle_degrees).to_radians().sin_cos();

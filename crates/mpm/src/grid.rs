@@ -67,6 +67,15 @@ impl GridShape {
         Some((Self { cells, dx: 2.0 * self.dx }, (WALL_CELLS as u32 - 1) as f32 * self.dx))
     }
 
+    /// A grid with cells a whole number of times narrower and the same inner surfaces of the walls, and the offset that its coordinates
+    /// add on both axes (domain lengths).
+    pub(super) fn refined(&self, times: u32) -> (Self, f32) {
+        let walls = 2 * (WALL_CELLS as u32 - 1);
+        let cells = self.cells.map(|cells| cells.saturating_sub(walls) * times + walls);
+        let dx = self.dx / times as f32;
+        (Self { cells, dx }, (WALL_CELLS - 1) as f32 * (dx - self.dx))
+    }
+
     /// Whether all nine nodes around a position (domain lengths) exist. False for NaN.
     pub(super) fn contains(&self, position: [f32; 2]) -> bool {
         (0..2).all(|axis| {
@@ -223,6 +232,8 @@ mod tests {
         };
         assert_eq!(places(coarse).map(|ends| ends.map(|x| x - shift)), places(fine));
         assert_eq!(GridShape::unit(63).coarsened(), None);
+        assert_eq!(coarse.refined(2), (fine, -shift));
+        assert_eq!(fine.refined(1), (fine, 0.0));
     }
 
     #[test]

@@ -22,11 +22,11 @@ pub enum ParticleOrder {
 
 impl ParticleOrder {
     /// Sorts particles, `spacing` apart (domain lengths).
-    pub(super) fn sort(self, particles: &mut [Particle], spacing: f32) {
+    pub(super) fn sort<T>(self, particles: &mut [(Particle, T)], spacing: f32) {
         if self == Self::Bodies {
             return;
         }
-        particles.sort_by_cached_key(|particle| {
+        particles.sort_by_cached_key(|(particle, _)| {
             // The cast saturates.
             let [x, y] = particle.position.map(|x| u32::from((x / spacing) as u16));
             fast_hilbert::xy2h(x, y, CURVE_BITS)

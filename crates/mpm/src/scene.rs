@@ -24,6 +24,9 @@ const MIN_CELLS: f64 = 3.0 * WALL_CELLS as f64;
 /// Number of cells on a side that is too large.
 const MOST_CELLS: f64 = 65_536.0;
 
+/// Maximum factor by which the solver is finer.
+const MAX_RESOLVE: u32 = 8;
+
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
@@ -80,6 +83,10 @@ pub struct SolverChoices {
     /// Substeps per frame; the minimum for stability by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub substeps: Option<u32>,
+    /// By which factor cells and spacing of the solver are finer than those of the scene, 1 to 8: one of so many particles along each axis
+    /// is recorded; 1 by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub resolve: Option<u32>,
 }
 
 /// Timing of frames.
@@ -130,7 +137,7 @@ impl Default for Scene {
 
 impl Default for SolverChoices {
     fn default() -> Self {
-        Self { gravity: GRAVITY, substeps: None }
+        Self { gravity: GRAVITY, substeps: None, resolve: None }
     }
 }
 
@@ -153,6 +160,11 @@ impl Scene {
             "solver.gravity: found {found}, read as {}: gravity is along y, and negative is down",
             -found
         ))
+    }
+
+    /// By which factor cells and spacing of the solver are finer.
+    pub(super) fn resolve(&self) -> u32 {
+        self.solver.resolve.unwrap_or(1)
     }
 
     /// Distance between neighbouring particles (domain lengths).
@@ -227,6 +239,16 @@ impl Scene {
                 expected: "0 or a negative number: gravity is along y, and negative is down".into(),
             });
         }
+        let resolve = self.resolve();
+        let flows = !(self.emitters.is_empty() && self.drains.is_empty());
+        if !(1..=MAX_RESOLVE).contains(&resolve) || resolve > 1 && flows {
+            let with = if flows { " with emitters or drains" } else { "" };
+            return Err(MpmError::Field {
+                field: "solver.resolve".into(),
+                found: format!("{resolve}{with}"),
+                expected: format!("1 to {MAX_RESOLVE}, 1 with emitters or drains"),
+            });
+        }
         self.frames.check()?;
         let Materials { stiffness, viscosity, .. } = self.materials;
         positive("materials.stiffness", stiffness.into(), MAX_STIFFNESS)?;
@@ -259,6 +281,11 @@ impl Scene {
     /// As [`Scene::check`]; [`MpmError::Field`] for a body without particles,
     /// [`MpmError::Outside`] and [`MpmError::Overlap`] for bodies that overlap a wall or each other.
     pub fn particles(&self) -> Result<Vec<Particle>, MpmError> {
+        self.resolved_particles(1)
+    }
+
+    /// The same with `times`^2 particles, side by side, in the place of each.
+    pub(super) fn resolved_particles(&self, times: u32) -> Result<Vec<Particle>, MpmError> {
         self.check()?;
         let mut particles = Vec::new();
         let mut owners = Vec::new();
@@ -279,8 +306,16 @@ impl Scene {
             }));
         }
         placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
-        self.order.sort(&mut particles, self.spacing());
-        Ok(particles)
+        let mut numbered: Vec<_> = particles.into_iter().zip(owners).collect();
+        self.order.sort(&mut numbered, self.spacing());
+        let parts = |(particle, owner): (Particle, usize)| {
+            let offsets = self.bodies[owner].offsets(self.spacing(), times);
+            offsets.map(move |[x, y]| Particle {
+                position: [particle.position[0] + x, particle.position[1] + y],
+                ..particle
+            })
+        };
+        Ok(numbered.into_iter().flat_map(parts).collect())
     }
 
     /// Approximate maximum number of particles, without creating them.
@@ -296,8 +331,9 @@ impl Scene {
     /// As [`Scene::grid`].
     pub fn memory(&self) -> Result<u64, MpmError> {
         let nodes: f64 = self.grid()?.cells.map(|cells| f64::from(cells) + 1.0).iter().product();
+        let parts = f64::from(self.resolve()).powi(2);
         // The cast saturates.
-        Ok((self.estimate() * PARTICLE_BYTES + nodes * NODE_BYTES) as u64)
+        Ok((parts * (self.estimate() * PARTICLE_BYTES + nodes * NODE_BYTES)) as u64)
     }
 
     /// The materials that occur, in the order of their numbers.

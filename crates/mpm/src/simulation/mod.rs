@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     accelerator::Interval,
+    attractor::Attractor,
     collapse,
     energy::Energy,
     error::MpmError,
@@ -40,6 +41,9 @@ pub struct Settings {
     pub viscosity: Option<f32>,
     /// Substeps per frame.
     pub substeps: Option<u32>,
+    /// By which factor cells and spacing of the solver are finer than those of the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resolve: Option<u32>,
     /// Simulated time (s); the scene then does not end earlier.
     pub duration: Option<f64>,
     /// The order in which particles are numbered.
@@ -50,12 +54,13 @@ pub struct Settings {
 impl Settings {
     /// The scene with these overrides.
     pub fn over(&self, mut scene: Scene) -> Scene {
-        let Self { stiffness, law, viscosity, substeps, duration, order } = *self;
+        let Self { stiffness, law, viscosity, substeps, resolve, duration, order } = *self;
         let materials = &mut scene.materials;
         materials.stiffness = stiffness.unwrap_or(materials.stiffness);
         materials.law = law.unwrap_or(materials.law);
         materials.viscosity = viscosity.unwrap_or(materials.viscosity);
         scene.solver.substeps = substeps.or(scene.solver.substeps);
+        scene.solver.resolve = resolve.or(scene.solver.resolve);
         scene.order = order.unwrap_or(scene.order);
         if let Some(duration) = duration {
             (scene.frames.duration, scene.frames.shortest) = (duration, None);
@@ -80,6 +85,8 @@ pub enum Advance {
 pub struct Simulation {
     scene: Scene,
     solver: Solver,
+    /// Offset from coordinates of frames to those of the solver (domain lengths); not 0 if that is finer.
+    shift: f32,
     /// Emitters and drains, if any.
     flow: Option<Flow>,
     /// Substeps per frame, unless one needs more.
@@ -123,14 +130,19 @@ impl Simulation {
     /// As [`Simulation::new`].
     pub fn on_threads(scene: Scene, settings: &Settings, threads: usize) -> Result<Self, MpmError> {
         let scene = settings.over(scene);
-        let mut particles = scene.particles()?;
+        let resolve = scene.resolve();
+        let mut particles = scene.resolved_particles(resolve)?;
         let flows = !(scene.emitters.is_empty() && scene.drains.is_empty());
         let mut flow = flows.then(|| Flow::new(&scene));
         particles = flow.as_mut().and_then(|flow| flow.apply(0, &particles)).unwrap_or(particles);
-        let (grid, substeps) = (scene.grid()?, substeps(&scene)?);
+        let (grid, shift) = scene.grid()?.refined(resolve);
+        for particle in &mut particles {
+            particle.position = particle.position.map(|x| x + shift);
+        }
+        let substeps = substeps(&scene, grid)?;
         let solver_settings = SolverSettings {
             grid,
-            spacing: scene.spacing(),
+            spacing: scene.spacing() / resolve as f32,
             materials: scene.materials,
             dt: (decimal(scene.frames.interval) / f64::from(substeps)) as f32,
             gravity: scene.solver.gravity,
@@ -144,6 +156,7 @@ impl Simulation {
         let fewest_frames = scene.frames.shortest.map_or(most_frames, intervals);
         let energy = solver.energy();
         Ok(Self {
+            shift,
             scene,
             solver,
             flow,
@@ -232,6 +245,8 @@ impl Simulation {
             return Some(Interval { substeps: self.attempt, dt, attractor: None });
         }
         let attractor = self.scene.attractor.filter(|it| self.attracted < it.frames);
+        let attractor =
+            attractor.map(|it| Attractor { centre: it.centre.map(|x| x + self.shift), ..it });
         // The first frame of a scene is its start, unless an attractor acts before.
         let substeps = if attractor.is_some() { self.attempt } else { 0 };
         Some(Interval { substeps, dt, attractor })
@@ -292,9 +307,11 @@ impl Simulation {
             Ok(()) => {}
             Err(Stop::Cancelled) => return Err((1.0, MpmError::Cancelled)),
             Err(Stop::Lost { particle, state: Particle { position, material, .. } }) => {
+                let (particle, position) = self.of_frame(particle, position);
                 return Err((2.0, MpmError::Diverged { particle, material, position, time }));
             }
             Err(Stop::TooLong { particle, factor, limit }) => {
+                let particle = particle / self.parts();
                 let error = MpmError::TooLong { particle, limit, time, substeps };
                 return Err((f64::from(factor) * MARGIN, error));
             }
@@ -305,6 +322,7 @@ impl Simulation {
         let sound = collapse::check(particles, self.solver.settings(), &self.energy, budget);
         sound.map_err(|(particle, cause)| {
             let Particle { position, material, .. } = particles[particle];
+            let (particle, position) = self.of_frame(particle, position);
             let error = MpmError::Collapsed { particle, material, position, time, substeps, cause };
             (2.0, error)
         })
@@ -353,16 +371,18 @@ impl Simulation {
     /// [`MpmError::Diverged`] when a particle leaves the grid; no particle is moved then.
     pub fn displace(&mut self, mut by: impl FnMut() -> [f32; 2]) -> Result<(), MpmError> {
         let mut particles = self.solver.particles().to_vec();
-        for particle in &mut particles {
-            let ([x, y], [dx, dy]) = (particle.position, by());
-            particle.position = [x + dx, y + dy];
+        for parts in particles.chunks_mut(self.parts()) {
+            let [dx, dy] = by();
+            for Particle { position: [x, y], .. } in parts {
+                (*x, *y) = (*x + dx, *y + dy);
+            }
         }
         self.replace(particles)
     }
 
     /// The current state as a frame.
     fn frame(&self) -> Result<Frame, MpmError> {
-        let particles = self.solver.particles();
+        let recorded = || self.solver.particles().iter().step_by(self.parts());
         let interval = self.scene.frames.interval;
         // Frames beyond 2^32 would need more than two years of simulated time.
         let steps = u32::try_from(self.sequence).unwrap_or(u32::MAX);
@@ -372,9 +392,9 @@ impl Simulation {
             Stamp(0).advance(interval, steps),
             interval,
             self.domain(),
-            particles.iter().map(|p| p.position).collect(),
-            particles.iter().map(|p| p.velocity).collect(),
-            particles.iter().map(|p| p.material).collect(),
+            recorded().map(|p| p.position.map(|x| x - self.shift)).collect(),
+            recorded().map(|p| p.velocity).collect(),
+            recorded().map(|p| p.material).collect(),
         )?)
     }
 
@@ -409,9 +429,19 @@ impl Simulation {
         &mut self.solver
     }
 
-    /// Current number of particles.
+    /// The number of a particle of the solver and its position, as in frames.
+    fn of_frame(&self, particle: usize, position: [f32; 2]) -> (usize, [f32; 2]) {
+        (particle / self.parts(), position.map(|x| x - self.shift))
+    }
+
+    /// Current number of particles of a frame.
     pub fn particles(&self) -> usize {
-        self.solver.particles().len()
+        self.solver.particles().len() / self.parts()
+    }
+
+    /// Particles of the solver for each of a frame.
+    fn parts(&self) -> usize {
+        self.scene.resolve().pow(2) as usize
     }
 
     /// The energy of the last frame.
@@ -421,7 +451,9 @@ impl Simulation {
 
     /// Pressure and energy of every particle of the last frame.
     pub fn particle_state(&self) -> ParticleState {
-        self.solver.particle_state()
+        let ParticleState { pressure, energy } = self.solver.particle_state();
+        let recorded = |of: Vec<f32>| of.into_iter().step_by(self.parts()).collect();
+        ParticleState { pressure: recorded(pressure), energy: recorded(energy) }
     }
 
     /// The box that holds the particles.
@@ -442,8 +474,7 @@ impl Simulation {
 }
 
 /// Substeps per frame: the requested number if stable, or the minimum.
-fn substeps(scene: &Scene) -> Result<u32, MpmError> {
-    let GridShape { cells, dx } = scene.grid()?;
+fn substeps(scene: &Scene, GridShape { cells, dx }: GridShape) -> Result<u32, MpmError> {
     let materials = &scene.materials;
     let interval = decimal(scene.frames.interval);
     let (minimum, limit) =

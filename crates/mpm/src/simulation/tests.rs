@@ -193,3 +193,57 @@ fn a_fluid_scene_ends_when_little_moves() {
     assert!(simulation.next_frame().unwrap().is_none());
     assert!(simulation.solver.mean_kinetic_energy() < rest);
 }
+
+/// What is recorded of a finer solver: the same bodies between the same walls, which fall alike.
+#[test]
+fn a_resolved_scene_has_the_bodies_of_the_scene_between_its_walls() {
+    let scene = |resolve| {
+        let mut scene = Scene::generate(Preset::Kinds, 5, 4);
+        scene.solver.resolve = resolve;
+        scene
+    };
+    let fall = |resolve| {
+        let settings = Settings { duration: Some(1.6), ..Settings::default() };
+        let mut simulation = Simulation::new(scene(resolve), &settings).unwrap();
+        let first = simulation.next_frame().unwrap().unwrap();
+        let parts = simulation.solver().particles().len() / first.len();
+        assert_eq!(simulation.particles(), first.len());
+        assert_eq!(simulation.particle_state().pressure.len(), first.len());
+        let mut last = first.clone();
+        while let Some(frame) = simulation.next_frame().unwrap() {
+            last = frame;
+        }
+        (parts, first, last)
+    };
+    let (one, usual, settled) = fall(None);
+    let spacing = scene(None).spacing();
+    for (times, parts) in [(2, 4), (3, 9)] {
+        let (found, first, last) = fall(Some(times));
+        assert_eq!((one, found), (1, parts));
+        assert_eq!(first.material, usual.material);
+        // Of the attractor's pull, which has acted before the first frame, little depends on the cells.
+        let centre = |frame: &Frame, axis: usize| {
+            frame.position.iter().map(|x| x[axis]).sum::<f32>() / frame.len() as f32
+        };
+        for axis in 0..2 {
+            let apart = centre(&first, axis) - centre(&usual, axis);
+            assert!(apart.abs() < 4.0 * spacing, "{times} {axis}: {apart}");
+        }
+        let lowest = |frame: &Frame| frame.position.iter().map(|x| x[1]).fold(1.0, f32::min);
+        let apart = lowest(&last) - lowest(&settled);
+        assert!(apart.abs() < 3.0 * spacing, "{times}: lowest {apart} apart");
+    }
+}
+
+#[test]
+fn a_factor_out_of_range_or_with_emitters_is_refused() {
+    let mut scene = Scene::generate(Preset::Fluid, 1, 1);
+    scene.solver.resolve = Some(9);
+    let error = scene.check().unwrap_err().to_string();
+    assert!(error.contains("solver.resolve: found 9, expected 1 to 8"), "{error}");
+    scene.solver.resolve = Some(2);
+    scene.check().unwrap();
+    scene.drains.push(Drain { lower: [0.0; 2], upper: [0.1; 2] });
+    let error = scene.check().unwrap_err().to_string();
+    assert!(error.contains("found 2 with emitters or drains"), "{error}");
+}
