@@ -3,14 +3,15 @@
 use super::{
     super::{
         attractor::Attractor,
-        grid::{GridShape, WALL_CELLS, open_along, open_share},
+        grid::{GridShape, LEAST_OPEN, WALL_CELLS, open_along},
         solver::SolverSettings,
         step::Step,
-        water::Settling,
+        water::{LEAST_LIQUID, MAX_AREA, Settling},
     },
     chunk::Chunk,
+    gather::at_most,
     level::Work,
-    simd::Simd,
+    simd::{LANES, Simd},
 };
 
 /// Velocities of `sides[0] * sides[1]` nodes and what liquids follow, row (x) by row.
@@ -124,16 +125,52 @@ impl Areas {
 
     /// Writes J of the nodes `from..` of a row, as `Grid::update`.
     #[inline(always)]
-    fn write(&self, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
-        let sums = sum.mass[from..].iter().zip(&sum.solid[from..]).zip(&sum.area[from..]);
-        let nodes = sums.zip(&self.open[1][from..]);
-        for (to, (((&mass, &solid), &area), &along)) in areas.iter_mut().zip(nodes) {
-            // J of a node without mass is read, with a weight of zero.
-            let mass = if mass > f32::MIN_POSITIVE { mass } else { f32::MIN_POSITIVE };
-            let open = open_share([self.open[0][row], along]);
-            *to = self.settling.of_node(mass, solid, area, self.particles_per_cell * open / mass);
+    fn write<S: Simd>(&self, simd: S, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
+        let across = simd.splat(self.open[0][row]);
+        let to = from + areas.len();
+        let numbers = [&sum.mass, &sum.solid, &sum.area, &self.open[1]].map(|of| &of[from..to]);
+        let (chunks, rest) = areas.as_chunks_mut::<LANES>();
+        let [mass, solid, area, along] = numbers.map(|numbers| numbers.as_chunks::<LANES>().0);
+        for (k, chunk) in chunks.iter_mut().enumerate() {
+            let sums = [simd.load(&mass[k]), simd.load(&solid[k]), simd.load(&area[k])];
+            simd.store(self.of_nodes(simd, sums, across * simd.load(&along[k])), chunk);
         }
+        let mut last = [[0.0; LANES]; 4];
+        for (last, numbers) in last.iter_mut().zip(numbers) {
+            last[..rest.len()].copy_from_slice(&numbers[numbers.len() - rest.len()..]);
+        }
+        let [mass, solid, area, along] = &last;
+        let sums = [simd.load(mass), simd.load(solid), simd.load(area)];
+        let mut found = [0.0; LANES];
+        simd.store(self.of_nodes(simd, sums, across * simd.load(along)), &mut found);
+        rest.copy_from_slice(&found[..rest.len()]);
     }
+
+    /// [`Settling::of_node`] with [`open_share`](super::super::grid::open_share), operation by operation.
+    #[inline(always)]
+    fn of_nodes<S: Simd>(
+        &self,
+        simd: S,
+        [mass, solid, area]: [S::Lanes; 3],
+        open: S::Lanes,
+    ) -> S::Lanes {
+        // J of a node without mass is read, with a weight of zero. No product of this mass is subnormal, which would be slow.
+        let mass = at_least(simd, mass, 1e-20);
+        let by_density =
+            simd.splat(self.particles_per_cell) * at_least(simd, open, LEAST_OPEN) / mass;
+        let by_density = at_most(simd, by_density, MAX_AREA);
+        let liquid = mass - solid;
+        let is_wet = simd.less(simd.splat(LEAST_LIQUID) * mass, liquid);
+        let mean = simd.select(is_wet, area / liquid, simd.splat(1.0));
+        mean + (by_density - mean) * simd.splat(self.settling.relaxing)
+    }
+}
+
+/// The larger one of a number in each lane and `least`.
+#[inline(always)]
+fn at_least<S: Simd>(simd: S, x: S::Lanes, least: f32) -> S::Lanes {
+    let least = simd.splat(least);
+    simd.select(simd.less(least, x), x, least)
 }
 
 /// Velocity bounds of separating slip walls at the nodes of a row.
@@ -203,7 +240,7 @@ impl Work for Update<'_> {
         let Self { forces, row, chunks, velocity, liquid, sum } = self;
         let Some([from, to]) = sum.add_up(row, chunks, forces.areas.is_some()) else { return };
         match &forces.areas {
-            Some(areas) => areas.write(row, from, sum, &mut liquid[from..to]),
+            Some(areas) => areas.write(simd, row, from, sum, &mut liquid[from..to]),
             None => liquid[from..to].copy_from_slice(&sum.mass[from..to]),
         }
         if let Some(attractor) = &forces.attractor {

@@ -95,18 +95,14 @@ fn correct_area<S: Simd>(
             + simd.splat_ones(weight[2][l]) * c;
         followed[l] = simd.sum_ones(straight * weights.ones(simd.splat_ones(offset[l])));
     }
-    let limited = |area, most: f32| {
-        let most = simd.splat(most);
-        simd.select(simd.less(most, area), most, area)
-    };
     let side = simd.load(&pack.deformation[0]);
     let area = side * simd.load(&pack.deformation[3]);
     let followed = simd.load(followed);
     let area = if let Some(settling) = step.settling {
         let following = area + (followed - area) * simd.splat(settling.following);
-        limited(following, max_area(Law::Settling))
+        at_most(simd, following, max_area(Law::Settling))
     } else {
-        let target = limited(simd.splat(step.particles_per_cell) / followed, MAX_AREA);
+        let target = at_most(simd, simd.splat(step.particles_per_cell) / followed, MAX_AREA);
         area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0))
     };
     let side = simd.sqrt(area);
@@ -114,4 +110,11 @@ fn correct_area<S: Simd>(
         let kept = simd.load(&pack.deformation[k]);
         simd.store(simd.select(liquid_lanes, side, kept), &mut pack.deformation[k]);
     }
+}
+
+/// The smaller one of a number in each lane and `most`; NaN where the number is.
+#[inline(always)]
+pub(super) fn at_most<S: Simd>(simd: S, x: S::Lanes, most: f32) -> S::Lanes {
+    let most = simd.splat(most);
+    simd.select(simd.less(most, x), most, x)
 }

@@ -11,9 +11,6 @@ use super::{
 };
 use eddy_frames::Material;
 
-/// In the place of the area of a solid, with the law `settling`.
-const SOLID: f32 = -1.0;
-
 /// Computes the momentum that each particle scatters, `w (lowest + i along_x + j along_y)` at the node (i, j) of its
 /// stencil, per mass (domain lengths per s).
 #[inline(always)]
@@ -49,7 +46,12 @@ pub(super) fn prepare<S: Simd, const SETTLING: bool>(
     if SETTLING {
         let area = simd.load(&pack.deformation[0]) * simd.load(&pack.deformation[3]);
         let is_liquid = law::is(simd, pack, Material::Liquid);
-        simd.store(simd.select(is_liquid, area, simd.splat(SOLID)), &mut scratch.area);
+        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+        simd.store(simd.select(is_liquid, area, zero), &mut scratch.area);
+        scratch.has_solids = simd.count(is_liquid) < LANES;
+        if scratch.has_solids {
+            simd.store(simd.select(is_liquid, zero, one), &mut scratch.solid);
+        }
     }
     for l in 0..LANES {
         let [x, y] = [stencils.base[0][l] - chunk.origin[0], stencils.base[1][l] - chunk.origin[1]];
@@ -57,9 +59,9 @@ pub(super) fn prepare<S: Simd, const SETTLING: bool>(
     }
 }
 
-/// Scatters the particles of a pack.
+/// Scatters the particles of a pack; those of solids with `SOLIDS` only, with the law `settling`.
 #[inline(always)]
-pub(super) fn scatter<S: Simd, const SETTLING: bool>(
+pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     simd: S,
     weights: &Weights<S>,
     scratch: &Scratch,
@@ -67,13 +69,17 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool>(
     chunk: &mut Chunk,
     cell: &mut CellSum<S>,
 ) {
-    let Scratch { node, offset, weight, area, vectors: [lowest, along_x, along_y], .. } = scratch;
+    let Scratch { node, offset, weight, area, solid, vectors: [lowest, along_x, along_y], .. } =
+        scratch;
     for l in 0..lanes {
         let at = node[l] as usize;
         if at != cell.at {
             cell.flush::<SETTLING>(simd, chunk);
             *cell = CellSum::zero(simd);
             cell.at = at;
+        }
+        if SOLIDS {
+            cell.has_solids = true;
         }
         let along = weights.pairs(simd.splat_pairs(offset[l]));
         let mass = weights.ones(simd.splat_ones(offset[l]));
@@ -83,10 +89,11 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool>(
         for (i, weight) in weight.iter().enumerate() {
             cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
             cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
-            if SETTLING && area[l] == SOLID {
-                cell.solid[i] = cell.solid[i] + simd.splat_ones(weight[l]) * mass;
-            } else if SETTLING {
+            if SETTLING {
                 cell.area[i] = cell.area[i] + simd.splat_ones(weight[l] * area[l]) * mass;
+            }
+            if SOLIDS {
+                cell.solid[i] = cell.solid[i] + simd.splat_ones(weight[l] * solid[l]) * mass;
             }
             momentum = momentum + next;
         }
@@ -99,9 +106,11 @@ pub(super) struct CellSum<S: Simd> {
     at: usize,
     momentum: [S::Pairs; 3],
     mass: [S::Ones; 3],
-    /// With the law `settling`: the mass of solids, and mass times J of liquids.
-    solid: [S::Ones; 3],
+    /// With the law `settling`, mass times J of liquids.
     area: [S::Ones; 3],
+    /// The mass of solids, where there are any.
+    solid: [S::Ones; 3],
+    has_solids: bool,
 }
 
 impl<S: Simd> CellSum<S> {
@@ -109,7 +118,7 @@ impl<S: Simd> CellSum<S> {
     pub(super) fn zero(simd: S) -> Self {
         let none = [simd.splat_ones(0.0); 3];
         let momentum = [simd.splat_pairs(0.0); 3];
-        Self { at: usize::MAX, momentum, mass: none, solid: none, area: none }
+        Self { at: usize::MAX, momentum, mass: none, area: none, solid: none, has_solids: false }
     }
 
     /// Adds the sum to the patch.
@@ -123,9 +132,10 @@ impl<S: Simd> CellSum<S> {
             simd.store_pairs(simd.load_pairs(momentum) + self.momentum[i], momentum);
             simd.store_ones(simd.load_ones(mass) + self.mass[i], mass);
             if SETTLING {
-                let sums = chunk.settling_nodes(self.at, i);
-                for (nodes, more) in sums.into_iter().zip([self.solid[i], self.area[i]]) {
-                    simd.store_ones(simd.load_ones(nodes) + more, nodes);
+                let [solid, area] = chunk.settling_nodes(self.at, i);
+                simd.store_ones(simd.load_ones(area) + self.area[i], area);
+                if self.has_solids {
+                    simd.store_ones(simd.load_ones(solid) + self.solid[i], solid);
                 }
             }
         }

@@ -29,8 +29,11 @@ pub(super) struct Scratch {
     pub(super) moment: [Lanes; 3],
     /// What liquids follow at each particle: the grid's mass, in units of a particle's, or with the law `settling` its J.
     pub(super) liquid: Lanes,
-    /// J of each liquid particle, with the law `settling`.
+    /// With the law `settling`: J of each liquid particle, 0 for solids.
     pub(super) area: Lanes,
+    /// 1 for solids, 0 for liquids, in a pack that has any.
+    pub(super) solid: Lanes,
+    pub(super) has_solids: bool,
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
 }
@@ -43,6 +46,8 @@ impl Scratch {
         moment: [[0.0; LANES]; 3],
         liquid: [0.0; LANES],
         area: [0.0; LANES],
+        solid: [0.0; LANES],
+        has_solids: false,
         vectors: [[[0.0; 2]; LANES]; 3],
     };
 }
@@ -93,7 +98,11 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
                 prepare::<S, SETTLING>(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
-                scatter::<S, SETTLING>(simd, &weights, &scratch, lanes, chunk, &mut sum);
+                if SETTLING && scratch.has_solids {
+                    scatter::<S, true, true>(simd, &weights, &scratch, lanes, chunk, &mut sum);
+                } else {
+                    scatter::<S, SETTLING, false>(simd, &weights, &scratch, lanes, chunk, &mut sum);
+                }
             }
         }
         if SCATTER {
