@@ -10,10 +10,9 @@ use std::{
 
 use super::{
     error::ExchangeError,
-    point_data::spatial,
     streams::{Progress, Streams},
 };
-use eddy_frames::{Frame, Material};
+use eddy_frames::{Frame, Material, spatial};
 
 /// Writes `stream_0007/000000.ply` and so on into the directory.
 pub(super) fn write<const D: usize>(

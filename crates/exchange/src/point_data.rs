@@ -9,7 +9,7 @@ use super::{
     streams::{Progress, Streams, Track},
 };
 use eddy_bag::BagReader;
-use eddy_frames::{Frame, distance};
+use eddy_frames::{Frame, distance, spatial};
 
 /// One property of all particles of a frame.
 pub(super) struct PointArray {
@@ -79,11 +79,6 @@ pub(super) fn read<const D: usize>(
         }
     }
     Ok(())
-}
-
-/// A vector with the three components that other programs need: z = 0 in the plane.
-pub(super) fn spatial<const D: usize>(vector: [f32; D]) -> [f32; 3] {
-    std::array::from_fn(|axis| vector.get(axis).copied().unwrap_or_default())
 }
 
 /// Distance of every particle from its true position (domain lengths), `[N]`. NaN where there is no true frame of this

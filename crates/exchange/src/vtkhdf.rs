@@ -15,11 +15,11 @@ use super::{
     error::ExchangeError,
     fields::strain_components,
     hdf5::{GZIP, hdf5_error},
-    point_data::{self, PointArray, Values, spatial},
+    point_data::{self, PointArray, Values},
     streams::{Progress, Streams, Track},
     vtu::VERTEX,
 };
-use eddy_frames::Frame;
+use eddy_frames::{Frame, spatial};
 
 /// Version of the format.
 const VERSION: [i64; 2] = [2, 0];

@@ -10,10 +10,10 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use super::{
     error::ExchangeError,
     fields::strain_components,
-    point_data::{self, PointArray, Values, spatial},
+    point_data::{self, PointArray, Values},
     streams::{Progress, Streams},
 };
-use eddy_frames::Frame;
+use eddy_frames::{Frame, spatial};
 
 /// Cell type of a vertex (`vtkCellType.h`).
 pub(super) const VERTEX: u8 = 1;

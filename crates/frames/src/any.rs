@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{Domain, Frame, InvalidFrame};
+use super::{Domain, Frame, InvalidFrame, spatial};
 
 /// A frame of two or three dimensions.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,9 +23,7 @@ pub struct Coordinates {
 
 impl<const D: usize> From<[f32; D]> for Coordinates {
     fn from(coordinates: [f32; D]) -> Self {
-        let mut numbers = [0.0; 3];
-        numbers[..D].copy_from_slice(&coordinates);
-        Self { numbers, dimension: D as u32 }
+        Self { numbers: spatial(coordinates), dimension: D as u32 }
     }
 }
 

@@ -21,7 +21,7 @@ mod valid;
 mod view;
 
 pub use any::{AnyDomain, AnyFrame, Coordinates};
-pub use state::{State, distance, mean_squared_distance, squared_distance};
+pub use state::{State, distance, mean_squared_distance, spatial, squared_distance};
 pub use valid::{InvalidFrame, same_setup};
 pub use view::{FrameView, Particle, Particles};
 

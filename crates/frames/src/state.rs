@@ -28,6 +28,11 @@ pub fn squared_distance(a: [f32; 2], b: [f32; 2]) -> f64 {
     x * x + y * y
 }
 
+/// A vector with the three components that other programs need: those that it lacks are 0.
+pub fn spatial<const D: usize>(vector: [f32; D]) -> [f32; 3] {
+    std::array::from_fn(|axis| vector.get(axis).copied().unwrap_or_default())
+}
+
 /// |x - x'|.
 pub fn distance<const D: usize>(a: [f32; D], b: [f32; D]) -> f32 {
     (1..D).fold(a[0] - b[0], |length, axis| length.hypot(a[axis] - b[axis]))

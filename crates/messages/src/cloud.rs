@@ -4,7 +4,7 @@
 //! `z` is 0. One of three has 28: `vz` follows `vy`.
 
 use super::{Header, PointCloud2, PointField, cdr};
-use eddy_frames::Frame;
+use eddy_frames::{Frame, spatial};
 
 /// Coordinates of a point.
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
@@ -36,7 +36,7 @@ pub fn to_cdr<const D: usize>(frame: &Frame<D>) -> Vec<u8> {
     {
         let mut point = [0; point_step(3)];
         let mut numbers = [0.0; 6];
-        numbers[..3].copy_from_slice(&coordinates(position));
+        numbers[..3].copy_from_slice(&spatial(*position));
         numbers[3..3 + D].copy_from_slice(velocity);
         for (place, number) in point.chunks_exact_mut(size_of::<f32>()).zip(numbers) {
             place.copy_from_slice(&number.to_le_bytes());
@@ -62,7 +62,7 @@ pub fn properties_to_cdr<const D: usize>(
     let mut data = Vec::with_capacity(frame.len() * step);
     for (particle, position) in frame.position.iter().enumerate() {
         let values = properties.iter().map(|(_, values)| values[particle]);
-        let numbers = coordinates(position).into_iter().chain(values);
+        let numbers = spatial(*position).into_iter().chain(values);
         data.extend(numbers.flat_map(f32::to_le_bytes));
     }
     cdr::encode(&PointCloud2 {
@@ -91,11 +91,6 @@ pub fn property(cloud: &PointCloud2, name: &str) -> Option<Vec<f32>> {
         f32::from_le_bytes(bytes)
     };
     Some(cloud.data.chunks_exact(step).take(points).map(number).collect())
-}
-
-/// The coordinates of a point: those that the frame lacks are 0.
-fn coordinates<const D: usize>(position: &[f32; D]) -> [f32; 3] {
-    std::array::from_fn(|axis| position.get(axis).copied().unwrap_or_default())
 }
 
 fn field(name: &str, offset: u32, datatype: u8) -> PointField {

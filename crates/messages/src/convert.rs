@@ -74,7 +74,7 @@ impl TryFrom<&ParticleFrame> for AnyFrame {
 }
 
 /// Encodes and decodes a frame as the CDR of a [`ParticleFrame`].
-pub trait FrameCdr: Sized {
+pub trait FrameCdr: for<'a> TryFrom<&'a ParticleFrame, Error = InvalidFrame> {
     /// The same bytes as from [`cdr::encode`], with the particles copied as a whole rather than number by number.
     fn to_cdr(&self) -> Vec<u8>;
 
@@ -82,7 +82,10 @@ pub trait FrameCdr: Sized {
     ///
     /// # Errors
     /// [`BadFrame`] when the bytes are not a [`ParticleFrame`], or it is not a valid frame.
-    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame>;
+    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame> {
+        let message: ParticleFrame = cdr::decode(bytes)?;
+        Ok(Self::try_from(&message)?)
+    }
 }
 
 impl<const D: usize> FrameCdr for Frame<D> {
@@ -105,21 +108,11 @@ impl<const D: usize> FrameCdr for Frame<D> {
         bytes.extend(self.material.iter().map(|&material| material as u8));
         bytes
     }
-
-    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame> {
-        let message: ParticleFrame = cdr::decode(bytes)?;
-        Ok(Self::try_from(&message)?)
-    }
 }
 
 impl FrameCdr for AnyFrame {
     fn to_cdr(&self) -> Vec<u8> {
         with_frame!(self, frame => frame.to_cdr())
-    }
-
-    fn from_cdr(bytes: &[u8]) -> Result<Self, BadFrame> {
-        let message: ParticleFrame = cdr::decode(bytes)?;
-        Ok(Self::try_from(&message)?)
     }
 }
 

@@ -249,7 +249,7 @@ mod tests {
     use super::{
         super::{
             Energy, GRAVITY,
-            material::{DENSITY, Law},
+            material::{DENSITY, Law, Moduli},
             matrix::Matrix2,
             minimum_substeps,
         },
@@ -307,7 +307,7 @@ mod tests {
     fn the_grid_carries_the_mass_of_the_particles() {
         let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
         let mut grid = Grid::new(settings.grid);
-        let moduli = crate::Moduli::of(&settings.materials);
+        let moduli = Moduli::of(&settings.materials);
         p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
         let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
         let expected = 400.0 * f64::from(DENSITY * settings.volume());

@@ -366,7 +366,7 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
               area = at_most(area + (grid_area - area) * s.following, 1.0f);
             } else {
               // It relaxes towards the density of the grid (`water::corrected`).
-              const float density = s.per_cell / mass, target = real(MAX_AREA) < density ? real(MAX_AREA) : density;
+              const float target = at_most(s.per_cell / mass, real(MAX_AREA));
               area += (target - area) * fminf(s.dt / real(RELAXATION_TIME), 1.0f);
             }
             f.x = f.w = sqrtf(area);

@@ -9,7 +9,6 @@ use super::{
         water::{LEAST_LIQUID, MAX_AREA, Settling},
     },
     chunk::Chunk,
-    gather::at_most,
     level::Work,
     simd::{LANES, Simd},
 };
@@ -155,22 +154,14 @@ impl Areas {
         open: S::Lanes,
     ) -> S::Lanes {
         // J of a node without mass is read, with a weight of zero. No product of this mass is subnormal, which would be slow.
-        let mass = at_least(simd, mass, 1e-20);
-        let by_density =
-            simd.splat(self.particles_per_cell) * at_least(simd, open, LEAST_OPEN) / mass;
-        let by_density = at_most(simd, by_density, MAX_AREA);
+        let mass = simd.max(mass, 1e-20);
+        let by_density = simd.splat(self.particles_per_cell) * simd.max(open, LEAST_OPEN) / mass;
+        let by_density = simd.min(by_density, MAX_AREA);
         let liquid = mass - solid;
         let is_wet = simd.less(simd.splat(LEAST_LIQUID) * mass, liquid);
         let mean = simd.select(is_wet, area / liquid, simd.splat(1.0));
         mean + (by_density - mean) * simd.splat(self.settling.relaxing)
     }
-}
-
-/// The larger one of a number in each lane and `least`.
-#[inline(always)]
-fn at_least<S: Simd>(simd: S, x: S::Lanes, least: f32) -> S::Lanes {
-    let least = simd.splat(least);
-    simd.select(simd.less(least, x), x, least)
 }
 
 /// Velocity bounds of separating slip walls at the nodes of a row.

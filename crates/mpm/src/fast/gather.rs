@@ -100,9 +100,9 @@ fn correct_area<S: Simd>(
     let followed = simd.load(followed);
     let area = if let Some(settling) = step.settling {
         let following = area + (followed - area) * simd.splat(settling.following);
-        at_most(simd, following, max_area(Law::Settling))
+        simd.min(following, max_area(Law::Settling))
     } else {
-        let target = at_most(simd, simd.splat(step.particles_per_cell) / followed, MAX_AREA);
+        let target = simd.min(simd.splat(step.particles_per_cell) / followed, MAX_AREA);
         area + (target - area) * simd.splat((step.dt / RELAXATION_TIME).min(1.0))
     };
     let side = simd.sqrt(area);
@@ -110,11 +110,4 @@ fn correct_area<S: Simd>(
         let kept = simd.load(&pack.deformation[k]);
         simd.store(simd.select(liquid_lanes, side, kept), &mut pack.deformation[k]);
     }
-}
-
-/// The smaller one of a number in each lane and `most`; NaN where the number is.
-#[inline(always)]
-pub(super) fn at_most<S: Simd>(simd: S, x: S::Lanes, most: f32) -> S::Lanes {
-    let most = simd.splat(most);
-    simd.select(simd.less(most, x), most, x)
 }

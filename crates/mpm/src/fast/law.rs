@@ -98,8 +98,7 @@ fn liquid<S: Simd>(
             (area, [tension, zero, tension])
         }
         Law::Water | Law::Settling => {
-            let max_area = simd.splat(max_area(moduli.law));
-            let area = simd.select(simd.less(max_area, area), max_area, area);
+            let area = simd.min(area, max_area(moduli.law));
             let packed = one / area;
             let squared = packed * packed;
             let seventh = squared * squared * squared * packed;

@@ -69,12 +69,22 @@ pub(super) trait Simd: Copy {
     fn within(self, x: Self::Lanes, [from, to]: [f32; 2]) -> Self::Mask {
         self.less(x, self.splat(to)) & self.at_least(x, self.splat(from))
     }
+    /// The smaller one of each number and `most`. NaN for NaN.
+    #[inline(always)]
+    fn min(self, x: Self::Lanes, most: f32) -> Self::Lanes {
+        let most = self.splat(most);
+        self.select(self.less(most, x), most, x)
+    }
+    /// The larger one of each number and `least`. NaN for NaN.
+    #[inline(always)]
+    fn max(self, x: Self::Lanes, least: f32) -> Self::Lanes {
+        let least = self.splat(least);
+        self.select(self.less(x, least), least, x)
+    }
     /// The nearest number in this range. NaN for NaN.
     #[inline(always)]
     fn clamp(self, x: Self::Lanes, [lowest, highest]: [f32; 2]) -> Self::Lanes {
-        let (lowest, highest) = (self.splat(lowest), self.splat(highest));
-        let x = self.select(self.less(x, lowest), lowest, x);
-        self.select(self.less(highest, x), highest, x)
+        self.min(self.max(x, lowest), highest)
     }
     /// Truncates numbers between -2^31 and 2^31, to floats and integers.
     fn truncate(self, value: Self::Lanes) -> (Self::Lanes, [i32; LANES]);
