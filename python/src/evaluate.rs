@@ -52,7 +52,7 @@ impl Report {
 /// Evaluates checkpoints on the bags at `data` by free rollouts over `horizon` frames from `starts` frames of each stream.
 /// Streams that a checkpoint was trained on are left out. `references` may hold `mpm` (the solver restarted from the same frames) and
 /// `chaos` (from slightly displaced ones). `stiffness` is that of all streams (Young's modulus, density x velocity^2), for checkpoints
-/// that are conditioned on it; by default what the metadata.yaml of each bag states (`eddy_stiffness` of `custom_data`), otherwise the manifest.json beside it. Without checkpoints, the particle model of the package is evaluated. `skip_streams` leaves out streams
+/// that are conditioned on it; by default what the metadata.yaml of each bag states (`eddy_stiffness` of `custom_data`), otherwise the manifest.json beside it, otherwise what the checkpoint assumes. Without checkpoints, the particle model of the package is evaluated. `skip_streams` leaves out streams
 /// with a frame that cannot be used, each with a warning, instead of raising.
 #[pyfunction]
 #[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None, skip_streams=false))]

@@ -63,8 +63,8 @@ impl Surrogate {
     }
 
     /// Begins a stream with its first frame, which is not observed yet: pass it to `Stream.step` first. The particle model takes
-    /// the shape of jelly and rope in this frame as their rest shape. A network that is conditioned on the stiffness needs that of the stream,
-    /// Young's modulus (density x velocity^2); others take none.
+    /// the shape of jelly and rope in this frame as their rest shape. A network that is conditioned on the stiffness takes that of the stream,
+    /// Young's modulus (density x velocity^2), or what it assumes; others take none.
     #[pyo3(signature = (first, *, stiffness=None))]
     fn stream(
         slf: &Bound<'_, Self>,
@@ -151,9 +151,11 @@ impl Surrogate {
         values::render(py, self.inner.description())
     }
 
-    /// What the network was not trained for in a stream that begins with this frame, one sentence each.
-    fn warnings(&self, first: &Bound<'_, Frame>) -> PyResult<Vec<String>> {
-        let warnings = self.inner.warnings(first.get().plane("first")?, Stated::default());
+    /// What the network was not trained for in a stream that begins with this frame and has this stiffness, one sentence each.
+    #[pyo3(signature = (first, *, stiffness=None))]
+    fn warnings(&self, first: &Bound<'_, Frame>, stiffness: Option<f32>) -> PyResult<Vec<String>> {
+        let stated = Stated { stiffness, ..Stated::default() };
+        let warnings = self.inner.warnings(first.get().plane("first")?, stated);
         Ok(warnings.iter().map(ToString::to_string).collect())
     }
 

@@ -30,7 +30,7 @@ pub struct CalibrateArgs {
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
     /// Young's modulus of all streams (density x velocity^2), for a checkpoint that is conditioned on the stiffness [default: what
-    /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it].
+    /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it, otherwise what the checkpoint assumes].
     #[arg(long, value_name = "E")]
     pub stiffness: Option<f32>,
     /// Number of scenes to roll out in parallel [default: one per core].

@@ -58,7 +58,7 @@ pub struct EvalArgs {
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STARTS)]
     pub starts: usize,
     /// Young's modulus of all streams (density x velocity^2), for checkpoints that are conditioned on the stiffness [default: what
-    /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it].
+    /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it, otherwise what the checkpoint assumes].
     #[arg(long, value_name = "E")]
     pub stiffness: Option<f32>,
     /// Reference predictors, started from the same frames; requires manifest.json beside the bags.

@@ -8,6 +8,7 @@ use super::{node::summary, streams, surrogate};
 use crate::cli::PredictArgs;
 use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions};
 use eddy_cli::{Interrupt, Output, OutputKind};
+use eddy_dataset::DatasetError;
 use eddy_evaluation::EvaluationError;
 use eddy_frames::Frame;
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
@@ -86,9 +87,13 @@ fn open(args: &PredictArgs) -> anyhow::Result<(BagReader, SurrogateNode)> {
     let options = args.settings.parameters();
     options.iter().try_for_each(|option| settings.set(option)).map_err(Usage::new)?;
     let reader = BagReader::open(&args.input)?;
-    if surrogate.description().stiffness && settings.stiffness.is_none() {
-        let stiffness = eddy_dataset::stiffness_of(&reader, &args.topic);
-        settings.stiffness = Some(stiffness.map_err(EvaluationError::UnknownStiffness)?.into());
+    let description = surrogate.description();
+    if description.stiffness && settings.stiffness.is_none() {
+        settings.stiffness = match eddy_dataset::stiffness_of(&reader, &args.topic) {
+            Ok(stiffness) => Some(stiffness.into()),
+            Err(DatasetError::Stiffness { .. }) if description.assumed_stiffness.is_some() => None,
+            Err(error) => return Err(EvaluationError::UnknownStiffness(error).into()),
+        };
     }
     let stated = eddy_dataset::stated_by(&reader, &args.topic)?;
     let mut node = SurrogateNode::new(surrogate, settings)?;

@@ -6,12 +6,9 @@ use eddy_inference::checkpoint::Checkpoint;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::{fail, succeed};
+use crate::support::{fail, run, succeed};
 
 const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru");
-
-const CONDITIONED: &str =
-    concat!(env!("CARGO_MANIFEST_DIR"), "/checkpoints/particle-mingru-conditioned");
 
 /// Small scenes, each with a stiffness of its own, and a network that is trained on them and conditioned on the stiffness.
 struct World {
@@ -23,9 +20,13 @@ impl World {
         let world = Self { folder: tempfile::tempdir().unwrap() };
         world.simulate("seen", "1", "5");
         world.simulate("unseen", "2", "10");
-        fs::write(world.path("train.toml"), TRAINING).unwrap();
+        world.write_settings(TRAINING);
         succeed(world.train("seen", "model"));
         world
+    }
+
+    fn write_settings(&self, text: &str) {
+        fs::write(self.path("train.toml"), text).unwrap();
     }
 
     fn path(&self, name: &str) -> String {
@@ -150,13 +151,30 @@ fn a_conditioned_network_takes_the_stiffness_of_each_scene_or_the_one_that_is_gi
     let expected = "stiffness: found nothing, expected Young's modulus of the stream";
     let message = fail(1, ["node", "--checkpoint", &model, "--input", "shm:/stiffness/particles"]);
     assert!(message.contains(expected), "{message}");
+
+    assumes_a_stiffness(&world);
+}
+
+/// A checkpoint may assume a stiffness of streams that state none.
+fn assumes_a_stiffness(world: &World) {
+    let model = world.path("model");
+    let file = world.path("model/model.toml");
+    let text = fs::read_to_string(&file).unwrap();
+    let assuming = "stiffness = true\nassumed_stiffness = 1000.0\n";
+    fs::write(&file, text.replacen("stiffness = true\n", assuming, 1)).unwrap();
+    let given = world.predicted("given_again", &["--stiffness", "1e3"]);
+    assert!(world.predicted("assumed", &[]) == given, "as with the assumed stiffness");
+    let skill = world.skill(&["--stiffness", "1e3"]);
+    assert_eq!(world.skill(&[]), skill);
+    let said = String::from_utf8(run(world.eval(&model, &[])).stderr).unwrap();
+    assert!(said.contains("stiffness is not stated; assuming 1000"), "{said}");
 }
 
 #[test]
-fn the_shipped_network_for_any_stiffness_is_better_than_trivial_predictors() {
+fn the_shipped_network_is_better_than_trivial_predictors() {
     let world = World { folder: tempfile::tempdir().unwrap() };
     world.simulate("unseen", "2", "10");
-    succeed(world.eval(CONDITIONED, &[]));
+    succeed(world.eval(SHIPPED, &[]));
     let skill = world.skill_of_report();
     assert!(skill[2].as_f64().unwrap() > 0.5, "{skill}");
 }
@@ -164,18 +182,22 @@ fn the_shipped_network_for_any_stiffness_is_better_than_trivial_predictors() {
 #[test]
 fn a_stiffness_for_a_network_that_does_not_use_it_is_refused() {
     let world = World { folder: tempfile::tempdir().unwrap() };
+    world.simulate("seen", "1", "5");
     world.simulate("unseen", "2", "2");
+    world.write_settings(&TRAINING.replace("network.stiffness = true", ""));
+    succeed(world.train("seen", "model"));
+    let model = world.path("model");
     let given = &["--stiffness", "1e4"];
-    let message = fail(1, world.eval(SHIPPED, given));
+    let message = fail(1, world.eval(&model, given));
     let expected = "stiffness: found 10000, expected nothing: no checkpoint is conditioned on it";
     assert!(message.contains(expected), "{message}");
     let expected = "stiffness: found 10000, expected nothing: the checkpoint does not use it";
     for arguments in [
-        world.predict(SHIPPED, "no", given),
+        world.predict(&model, "no", given),
         [
             "node",
             "--checkpoint",
-            SHIPPED,
+            &model,
             "--input",
             "shm:/stiffness/particles",
             "--stiffness",
@@ -187,6 +209,6 @@ fn a_stiffness_for_a_network_that_does_not_use_it_is_refused() {
         let message = fail(1, arguments);
         assert!(message.contains(expected), "{message}");
     }
-    let message = fail(2, world.predict(SHIPPED, "no", &["--stiffness", "-1"]));
+    let message = fail(2, world.predict(&model, "no", &["--stiffness", "-1"]));
     assert!(message.contains("stiffness: found -1, expected 0 to 1000000000"), "{message}");
 }

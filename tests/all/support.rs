@@ -59,7 +59,7 @@ pub fn fail<S: AsRef<std::ffi::OsStr>>(
     errors
 }
 
-fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+pub fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     eddy().args(arguments).output().unwrap()
 }
 

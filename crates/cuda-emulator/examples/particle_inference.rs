@@ -27,16 +27,19 @@ use problem::{Noise, Result};
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        ["check", folder] => check(&Checkpoint::load(Path::new(folder))?),
-        ["time", folder] => time(&Checkpoint::load(Path::new(folder))?),
-        ["growth", folder] => growth(&Checkpoint::load(Path::new(folder))?),
-        ["once", folder, scenes, frames] => {
-            once(&Checkpoint::load(Path::new(folder))?, scenes.parse()?, frames.parse()?)
-        }
+        ["check", folder] => check(&load(folder)?),
+        ["time", folder] => time(&load(folder)?),
+        ["growth", folder] => growth(&load(folder)?),
+        ["once", folder, scenes, frames] => once(&load(folder)?, scenes.parse()?, frames.parse()?),
         _ => {
             Err("expected check FOLDER, time FOLDER, growth FOLDER or once FOLDER N FRAMES".into())
         }
     }
+}
+
+/// A checkpoint with one set of weights.
+fn load(folder: &str) -> Result<Checkpoint> {
+    Ok(Checkpoint::load(Path::new(folder))?.at_stiffness(1e3))
 }
 
 /// A checkpoint's network on the GPU.

@@ -2,7 +2,6 @@
 //! report.
 
 use std::{
-    collections::BTreeMap,
     num::NonZeroUsize,
     path::{Path, PathBuf},
 };
@@ -21,7 +20,7 @@ use eddy_dataset::{DatasetError, Stream, Trajectory, simulate::SimulateError};
 use eddy_frames::progress::Progress;
 use eddy_inference::{
     checkpoint::Checkpoint,
-    engine::{ModelError, Surrogate, warnings},
+    engine::{ModelError, Surrogate, WarningCounts, warnings},
 };
 use eddy_mpm::Scene;
 use eddy_pages::Provenance;
@@ -158,7 +157,7 @@ fn check_fits(
     models: &[Surrogate],
     streams: &[Trajectory],
 ) -> Result<Vec<String>, EvaluationError> {
-    let mut counted = BTreeMap::new();
+    let mut counts = WarningCounts::default();
     for stream in streams {
         let first = stream.cut(0..1)?.frame(0);
         for (name, model) in names.iter().zip(models) {
@@ -169,13 +168,11 @@ fn check_fits(
                 reason: Box::new(reason),
             })?;
             for warning in warnings(model.description(), &stream.setup()) {
-                *counted.entry(format!("{name}: {warning}")).or_insert(0) += 1;
+                counts.add(name, &warning, format!("{name}: {warning}"));
             }
         }
     }
-    let all = streams.len();
-    let counted = counted.into_iter();
-    Ok(counted.map(|(warning, found)| format!("{warning} ({found} of {all} streams)")).collect())
+    Ok(counts.sentences(streams.len()).collect())
 }
 
 /// An evaluation that is ready to run: everything is loaded and compatible.

@@ -68,7 +68,7 @@ impl Selection {
     }
 }
 
-/// Gives all streams their stiffness, or checks that it is known, if a checkpoint is conditioned on it.
+/// Gives all streams their stiffness, or checks that it is known, if a checkpoint is conditioned on it and assumes none.
 fn set_or_check_stiffness(
     descriptions: &[&Description],
     streams: &mut [Trajectory],
@@ -87,7 +87,7 @@ fn set_or_check_stiffness(
             streams.iter_mut().for_each(|stream| stream.stiffness = Some(stiffness));
             Ok(())
         }
-        None if is_conditioned => {
+        None if descriptions.iter().any(|d| d.stiffness && d.assumed_stiffness.is_none()) => {
             let mut all = streams.iter().map(Trajectory::known_stiffness);
             all.try_for_each(|known| known.map(drop)).map_err(EvaluationError::UnknownStiffness)
         }

@@ -138,6 +138,7 @@ fn training() -> String {
                 let stages = table[list].as_array().unwrap();
                 stages.iter().map(|stage| shown(&stage[field])).collect::<Vec<_>>().join(", ")
             }
+            None if key == "network.assumed_stiffness" => "none".to_owned(),
             None => at(table, &key).map_or_else(|| panic!("{key} has no default"), shown),
         };
         let (particle, frame) = (default(&particle), default(&frame));

@@ -106,6 +106,8 @@ pub fn checkpoint() -> String {
         for core in [Core::MinGru, Core::MinLstm, Core::Gru, Core::Lstm, Core::Mlp] {
             let mut description = shipped.description.clone();
             (description.architecture, description.core) = (architecture, core);
+            // The stiffness adds an input, several of them a first axis.
+            (description.stiffness, description.stiffness_knots) = (false, Vec::new());
             let mut sizes = description.sizes.clone();
             if architecture == Architecture::Frame {
                 (sizes.encoder, sizes.hidden, sizes.layers) = (256, 1250, 1);

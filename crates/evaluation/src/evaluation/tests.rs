@@ -1,4 +1,4 @@
-use std::fs;
+use std::{collections::BTreeMap, fs};
 
 use tempfile::TempDir;
 
@@ -13,11 +13,11 @@ fn truth() -> (TempDir, Vec<Trajectory>) {
     simulated(Extent::usual(Preset::Kinds), 2).unwrap()
 }
 
-/// A small network that is conditioned on the stiffness, with random weights.
-fn conditioned() -> Checkpoint {
+/// A small network with random weights, which may be conditioned on the stiffness.
+fn network(conditioned: bool) -> Checkpoint {
     let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
     let mut description = Description::untrained(Architecture::Particle, Core::Mlp, sizes);
-    description.stiffness = true;
+    description.stiffness = conditioned;
     description.normalization.minimum[2..].fill(-9.0);
     description.normalization.maximum[2..].fill(9.0);
     let mut tensors = initial_weights(&description, 1);
@@ -31,8 +31,8 @@ fn a_conditioned_checkpoint_takes_the_stiffness_of_each_scene_or_the_one_that_is
     let (_folder, mut streams) = simulated(extent, 2).unwrap();
     let request = |streams: &[Trajectory], stiffness| EvaluationRequest {
         checkpoints: vec![
-            ("conditioned".to_owned(), conditioned()),
-            ("shipped".to_owned(), Checkpoint::shipped().unwrap()),
+            ("conditioned".to_owned(), network(true)),
+            ("plain".to_owned(), network(false)),
         ],
         settings: Settings::errors_only(4, 2),
         join_late: true,
@@ -58,9 +58,13 @@ fn a_conditioned_checkpoint_takes_the_stiffness_of_each_scene_or_the_one_that_is
     let rejection = |request| evaluate(request).unwrap_err().to_string();
     let message = rejection(request(&streams, Some(-1.0)));
     assert_eq!(message, "stiffness: found -1, expected a positive number");
-    let shipped = EvaluationRequest { stiffness: Some(1e4), ..self::request(&streams) };
+    let plain = EvaluationRequest {
+        checkpoints: vec![("plain".to_owned(), network(false))],
+        stiffness: Some(1e4),
+        ..self::request(&streams)
+    };
     let expected = "stiffness: found 10000, expected nothing: no checkpoint is conditioned on it";
-    assert_eq!(rejection(shipped), expected);
+    assert_eq!(rejection(plain), expected);
     streams[1].stiffness = None;
     let message = rejection(request(&streams, None));
     assert!(message.contains("scene_0001: stream 1: stiffness: found nothing"), "{message}");

@@ -5,10 +5,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CheckpointError, Core, Form, Rules, VALID_KNOTS,
+    CheckpointError, Core, Form, Rules, VALID_ASSUMPTION, VALID_KNOTS,
     fingerprints::Fingerprints,
     network::{Architecture, FrameOptions, GridOptions, Sizes, WeightFormat},
-    rules, valid_knots,
+    rules, valid_assumption, valid_knots,
 };
 use eddy_frames::{Domain, Material};
 use eddy_settings::near;
@@ -97,6 +97,10 @@ pub struct Description {
     /// stiffness; beyond the ends, they are those of the nearest. Empty if there is one set of weights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub stiffness_knots: Vec<f32>,
+    /// Particle model that is conditioned on the stiffness: that of streams whose source does not state it (density x velocity^2).
+    /// Without it, such streams are refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub assumed_stiffness: Option<f32>,
     /// Number type of the weights in `model.safetensors`.
     #[serde(default, skip_serializing_if = "WeightFormat::is_default")]
     pub weights: WeightFormat,
@@ -146,14 +150,16 @@ impl Description {
         (dt - self.dt).abs() <= INTERVAL_TOLERANCE * self.dt
     }
 
-    /// The smallest and the largest stiffness of the matter that it was trained on (density x velocity^2): those that it has weights
-    /// for, otherwise what the streams stated, otherwise that of the rule `elastic`; `None` if none of them says it.
+    /// The smallest and the largest stiffness of the matter that it was trained on (density x velocity^2): what the streams stated,
+    /// otherwise those that it has weights for, otherwise that of the rule `elastic`; `None` if none of them says it.
     pub fn trained_stiffness(&self) -> Option<[f32; 2]> {
-        if let [low, .., high] = self.stiffness_knots.as_slice() {
-            return Some([*low, *high]);
-        }
+        let of_weights = match self.stiffness_knots.as_slice() {
+            [low, .., high] => Some([*low, *high]),
+            _ => None,
+        };
         let of_rule = || self.rules.elastic.filter(|_| !self.stiffness);
-        self.training.stiffness.or_else(|| of_rule().map(|rule| [rule.stiffness(); 2]))
+        let stated = self.training.stiffness.or(of_weights);
+        stated.or_else(|| of_rule().map(|rule| [rule.stiffness(); 2]))
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame
@@ -167,6 +173,7 @@ impl Description {
             normalize_gates: true,
             stiffness: false,
             stiffness_knots: Vec::new(),
+            assumed_stiffness: None,
             weights: WeightFormat::default(),
             dt: 0.016,
             warm_up: 2,
@@ -298,9 +305,7 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
             require(grid.is_some(), "surroundings", &"nothing", expected)?;
         }
     }
-    let knots = &description.stiffness_knots;
-    let valid = valid_knots(knots, description.stiffness);
-    require(valid, "stiffness_knots", &format!("{knots:?}"), VALID_KNOTS)?;
+    check_stiffness(file, description)?;
     if let Some(GridOptions { cell_width, channels, spacing }) = grid {
         positive("surroundings.cell_width", *cell_width)?;
         positive("surroundings.spacing", *spacing)?;
@@ -311,6 +316,19 @@ pub(super) fn check(file: &Path, description: &Description) -> Result<(), Checkp
     rules::check(file, description)?;
     require(domain.is_valid(), "domain", &domain.to_string(), "finite corners with lower < upper")?;
     check_normalization(file, &description.normalization)
+}
+
+fn check_stiffness(file: &Path, description: &Description) -> Result<(), CheckpointError> {
+    let Description { stiffness, stiffness_knots: knots, assumed_stiffness, .. } = description;
+    if !valid_knots(knots, *stiffness) {
+        return Err(field(file, "stiffness_knots", format!("{knots:?}"), VALID_KNOTS));
+    }
+    match assumed_stiffness {
+        Some(assumed) if !valid_assumption(*assumed, *stiffness) => {
+            Err(field(file, "assumed_stiffness", assumed.to_string(), VALID_ASSUMPTION))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn check_normalization(file: &Path, scale: &Normalization) -> Result<(), CheckpointError> {

@@ -11,6 +11,15 @@ pub enum CheckpointError {
         /// The directory.
         directory: PathBuf,
     },
+    /// The directory has the name of a checkpoint that is no longer shipped.
+    #[error(
+        "{}: found nothing; this checkpoint was replaced by the one that is built in: leave `--checkpoint` out, and give or state the stiffness",
+        directory.display()
+    )]
+    Replaced {
+        /// The directory.
+        directory: PathBuf,
+    },
     /// A file cannot be read.
     #[error("{}: {reason}", file.display())]
     Read {

@@ -28,6 +28,8 @@ use eddy_settings::{atomic, near};
 pub const DESCRIPTION_FILE: &str = "model.toml";
 /// Name of the weights within the directory.
 pub const WEIGHTS_FILE: &str = "model.safetensors";
+/// Checkpoints that were shipped before one was for every stiffness.
+const REPLACED: [&str; 2] = ["particle-mingru-stiff", "particle-mingru-conditioned"];
 
 /// The temporary names of the new pair, weights first.
 fn incoming(directory: &Path) -> [PathBuf; 2] {
@@ -72,6 +74,10 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
         file: file.to_owned(),
         reason: near::in_folder(file, reason),
     };
+    let has_name = |name: &&str| directory.ends_with(name);
+    if !directory.exists() && REPLACED.iter().any(has_name) {
+        return Err(CheckpointError::Replaced { directory: directory.to_owned() });
+    }
     if directory.is_dir() && !description.exists() {
         return Err(CheckpointError::NoCheckpoint { directory: directory.to_owned() });
     }

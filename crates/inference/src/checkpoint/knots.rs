@@ -10,6 +10,15 @@ pub const MOST_KNOTS: usize = 4;
 /// What [`valid_knots`] are.
 pub const VALID_KNOTS: &str = "nothing, or 2 to 4 positive numbers, each larger than the one before, for a network with stiffness = true";
 
+/// The stiffnesses that a network can assume of streams.
+pub const VALID_ASSUMPTION: &str =
+    "nothing, or a positive number for a network with stiffness = true";
+
+/// Whether a network can assume this stiffness of streams that state none.
+pub fn valid_assumption(assumed: f32, conditioned: bool) -> bool {
+    conditioned && assumed.is_finite() && assumed > 0.0
+}
+
 /// Whether a network can have weights for these stiffnesses.
 pub fn valid_knots(knots: &[f32], conditioned: bool) -> bool {
     let positive = knots.iter().all(|knot| knot.is_finite() && *knot > 0.0);

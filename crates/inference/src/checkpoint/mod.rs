@@ -35,7 +35,8 @@ pub use files::{parse_weights, render_weights};
 pub use fingerprints::Fingerprints;
 pub use initial::initial_weights;
 pub use knots::{
-    MOST_KNOTS, VALID_KNOTS, knot_shares, mix, tensors_of_knot, tensors_of_knots, valid_knots,
+    MOST_KNOTS, VALID_ASSUMPTION, VALID_KNOTS, knot_shares, mix, tensors_of_knot, tensors_of_knots,
+    valid_assumption, valid_knots,
 };
 pub use layout::tensor_shapes;
 pub use network::{
@@ -123,7 +124,7 @@ impl Checkpoint {
         Self::parse(directory, &description, &weights)
     }
 
-    /// The particle model that is built into this program; `checkpoints/README.md` describes its training.
+    /// The particle model that is built into this program; its card in `checkpoints` describes its training.
     ///
     /// # Errors
     /// As [`Checkpoint::load`], but only in a broken build: a test loads it.

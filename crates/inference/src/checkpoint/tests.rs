@@ -16,6 +16,7 @@ fn checkpoint() -> Checkpoint {
         normalize_gates: true,
         stiffness: false,
         stiffness_knots: Vec::new(),
+        assumed_stiffness: None,
         weights: WeightFormat::F32,
         dt: 0.016,
         warm_up: 5,

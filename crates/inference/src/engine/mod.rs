@@ -54,4 +54,4 @@ pub use fits::fits;
 pub use hidden_state::HiddenState;
 pub use stepper::{StepRequest, Stepper};
 pub use surrogate::Surrogate;
-pub use warning::{Stated, StreamSetup, Warning, warnings};
+pub use warning::{Stated, StreamSetup, Warning, WarningCounts, warnings};

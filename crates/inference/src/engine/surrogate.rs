@@ -178,11 +178,10 @@ impl Surrogate {
         Stepper::new(&self.network, interval, self.threads)
     }
 
-    /// Number of streams from which on stepping more at once gains nothing: 1 on the processor, or if streams of different stiffness
-    /// have networks of their own.
+    /// Number of streams from which on stepping more at once gains nothing: 1 on the processor.
     pub fn streams_at_once(&self) -> usize {
         match &*self.network {
-            Network::Device(device) if self.by_stiffness.is_none() => device.streams(),
+            Network::Device(device) => device.streams(),
             _ => 1,
         }
     }
@@ -213,12 +212,13 @@ impl Surrogate {
     /// Checks the stiffness of a stream (density x velocity^2), or that none is given.
     ///
     /// # Errors
-    /// [`ModelError::Stiffness`] if the network is conditioned on the stiffness and it is missing or not a positive number, or if it is given
-    /// and the network does not use it.
+    /// [`ModelError::Stiffness`] if the network is conditioned on the stiffness and it is not a positive number, or missing while the
+    /// checkpoint assumes none, or if it is given and the network does not use it.
     pub fn check_stiffness(&self, stiffness: Option<f32>) -> Result<(), ModelError> {
         let expected = match (self.description.stiffness, stiffness) {
             (false, None) => return Ok(()),
             (true, Some(given)) if given.is_finite() && given > 0.0 => return Ok(()),
+            (true, None) if self.description.assumed_stiffness.is_some() => return Ok(()),
             (false, Some(_)) => "nothing: the checkpoint does not use it",
             (true, _) => {
                 "Young's modulus of the stream, a positive number: the checkpoint is conditioned on it"
@@ -245,7 +245,7 @@ impl Surrogate {
     }
 
     /// As [`Surrogate::start`], with the stream's stiffness: Young's modulus of its materials (density x velocity^2), for a network
-    /// that is conditioned on it.
+    /// that is conditioned on it; otherwise the one that the checkpoint assumes ([`Description::assumed_stiffness`]).
     ///
     /// # Errors
     /// As [`Surrogate::fits`] and [`Surrogate::check_stiffness`].
@@ -256,6 +256,7 @@ impl Surrogate {
     ) -> Result<HiddenState, ModelError> {
         self.fits(frame)?;
         self.check_stiffness(stiffness)?;
+        let stiffness = stiffness.or(self.description.assumed_stiffness);
         let own = self.by_stiffness.as_ref().zip(stiffness);
         let own = own.map(|(weights, stiffness)| weights.network(stiffness)).transpose()?;
         let network = own.as_ref().unwrap_or(&self.network);

@@ -1,7 +1,10 @@
 //! What the data of a stream states, compared with what a network was trained on: data that it can predict, but not as well, and
 //! assumptions that it makes. Every program that reads streams asks this module.
 
-use std::fmt;
+use std::{
+    fmt,
+    mem::{Discriminant, discriminant},
+};
 
 use crate::{
     checkpoint::{Architecture, Description},
@@ -81,6 +84,11 @@ pub enum Warning {
         /// Whether the network is conditioned on it.
         conditioned: bool,
     },
+    /// The source does not state the stiffness that the network is conditioned on.
+    AssumedStiffness {
+        /// What the checkpoint assumes (density x velocity^2).
+        assumed: f32,
+    },
     /// The stream was not observed from its beginning and contains solids: their shape in this frame is taken as their rest
     /// shape.
     RestShape {
@@ -126,6 +134,10 @@ impl fmt::Display for Warning {
                     "stiffness is {found}, model was trained with {trained}; predicted matter will be {matter}; {remedy}"
                 )
             }
+            Self::AssumedStiffness { assumed } => write!(
+                f,
+                "stiffness is not stated; assuming {assumed}; set `--stiffness` or state it if that is wrong"
+            ),
             Self::RestShape { sequence } => write!(
                 f,
                 "joined at sequence {sequence}; assuming that jelly and rope are unstrained in this frame"
@@ -166,7 +178,50 @@ pub fn warnings(description: &Description, setup: &StreamSetup<'_>) -> Vec<Warni
     if sequence > 0 && material.iter().any(|material| material.keeps_shape()) {
         warnings.push(Warning::RestShape { sequence });
     }
+    if let (None, Some(assumed)) = (stated.stiffness, description.assumed_stiffness) {
+        warnings.push(Warning::AssumedStiffness { assumed });
+    }
     warnings
+}
+
+/// Warnings about many streams as sentences: each kind once, as of the first stream that has it, with the number of streams.
+#[derive(Debug, Default)]
+pub struct WarningCounts(Vec<Counted>);
+
+#[derive(Debug)]
+struct Counted {
+    compared_with: String,
+    kind: Discriminant<Warning>,
+    first: String,
+    streams: usize,
+    /// Whether all have the same numbers.
+    alike: bool,
+}
+
+impl WarningCounts {
+    /// Counts a warning of one stream that was compared with a network or settings, put as this sentence.
+    pub fn add(&mut self, compared_with: &str, warning: &Warning, sentence: String) {
+        let kind = discriminant(warning);
+        match self.0.iter_mut().find(|one| one.compared_with == compared_with && one.kind == kind) {
+            Some(counted) => {
+                counted.streams += 1;
+                counted.alike &= counted.first == sentence;
+            }
+            None => {
+                let compared_with = compared_with.to_owned();
+                let first = sentence;
+                self.0.push(Counted { compared_with, kind, first, streams: 1, alike: true });
+            }
+        }
+    }
+
+    /// The sentences, with their numbers of `all` streams.
+    pub fn sentences(self, all: usize) -> impl Iterator<Item = String> {
+        self.0.into_iter().map(move |Counted { first, streams, alike, .. }| match alike {
+            true => format!("{first} ({streams} of {all} streams)"),
+            false => format!("{first} (the first of {streams} such streams of {all})"),
+        })
+    }
 }
 
 #[cfg(test)]
@@ -262,6 +317,16 @@ mod tests {
         let description = Description { stiffness: true, stiffness_knots: knots, ..description() };
         let stated = |stiffness| Stated { stiffness: Some(stiffness), ..Stated::default() };
         assert!(of(&description, &frame, stated(3e4)).is_empty());
+        assert!(of(&description, &frame, Stated::default()).is_empty());
+        let assuming = Description { assumed_stiffness: Some(2e3), ..description.clone() };
+        assert!(of(&assuming, &frame, stated(3e4)).is_empty());
+        let found = of(&assuming, &frame, Stated::default());
+        assert_eq!(
+            found,
+            [
+                "stiffness is not stated; assuming 2000; set `--stiffness` or state it if that is wrong"
+            ]
+        );
         let found = of(&description, &frame, stated(1e7));
         assert_eq!(
             found,
@@ -270,5 +335,28 @@ mod tests {
               these; train on such data"
             ]
         );
+    }
+
+    #[test]
+    fn a_kind_of_warning_is_said_once_for_many_streams() {
+        let mut counts = WarningCounts::default();
+        let mut add =
+            |with: &str, warning: Warning| counts.add(with, &warning, warning.to_string());
+        for found in [-1.62, -3.7, -1.62] {
+            add("a", Warning::Gravity { found, expected: -9.8 });
+        }
+        add("b", Warning::Gravity { found: -3.7, expected: -9.8 });
+        for _ in 0..2 {
+            add("a", Warning::RestShape { sequence: 5 });
+        }
+        let found: Vec<_> = counts.sentences(7).collect();
+        let [first, other, rest] = &found[..] else { panic!("{found:?}") };
+        assert!(first.starts_with("gravity is -1.62"), "{first}");
+        assert!(first.ends_with("(the first of 3 such streams of 7)"), "{first}");
+        assert!(
+            other.starts_with("gravity is -3.7") && other.ends_with("(1 of 7 streams)"),
+            "{other}"
+        );
+        assert!(rest.ends_with("(2 of 7 streams)"), "{rest}");
     }
 }

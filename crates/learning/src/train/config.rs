@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::TrainError;
 use eddy_inference::checkpoint::{
     Activation, Architecture, Core, ElasticRule, FeatureScaling, Form, FrameOptions, FrameOutput,
-    GridOptions, MaterialInput, Pooling, Sizes, VALID_KNOTS, WeightFormat, valid_knots,
+    GridOptions, MaterialInput, Pooling, Sizes, VALID_ASSUMPTION, VALID_KNOTS, WeightFormat,
+    valid_assumption, valid_knots,
 };
 
 /// Width of layers up to which Muon runs on every supported GPU.
@@ -99,6 +100,10 @@ pub struct NetworkConfig {
     /// their own; a stream's are interpolated in the logarithm of its stiffness. Each batch is of about one stiffness then.
     #[serde(default)]
     pub stiffness_knots: Vec<f32>,
+    /// Particle model that is conditioned on the stiffness: that of streams whose source does not state it, when the network predicts
+    /// (density x velocity^2). Without it, such streams are refused. Training streams must state theirs.
+    #[serde(default)]
+    pub assumed_stiffness: Option<f32>,
     /// Number type of the weights of the best checkpoint, which is validated with the rounded weights; `last/` keeps f32.
     #[serde(default)]
     pub weights: WeightFormat,
@@ -361,6 +366,10 @@ impl TrainConfig {
         let knots = &self.network.stiffness_knots;
         let valid = valid_knots(knots, self.network.stiffness);
         require("network.stiffness_knots", format!("{knots:?}"), valid, VALID_KNOTS)?;
+        if let Some(assumed) = self.network.assumed_stiffness {
+            let valid = valid_assumption(assumed, self.network.stiffness);
+            require("network.assumed_stiffness", assumed, valid, VALID_ASSUMPTION)?;
+        }
         let valid = self.architecture == Architecture::Particle || !self.network.stiffness;
         require("network.stiffness", "true", valid, "false for the frame model")?;
         let modulus = self.elastic_modulus;

@@ -1,13 +1,11 @@
 //! What the streams of a data set state, compared with the settings of a training and with the checkpoint that it starts from.
 
-use std::collections::BTreeMap;
-
 use super::TrainConfig;
 use eddy_dataset::Dataset;
 use eddy_frames::decimal;
 use eddy_inference::{
     checkpoint::{Checkpoint, Description, JELLY_MODULUS, Rules},
-    engine::{Warning, warnings},
+    engine::{Warning, WarningCounts, warnings},
 };
 
 /// Ratio of the stiffnesses of two streams above which a network that is not conditioned on it is a compromise.
@@ -35,26 +33,25 @@ pub fn data_warnings(
         },
         ..Description::untrained(config.architecture, config.core, sizes)
     };
-    let mut counted = BTreeMap::new();
+    let mut counts = WarningCounts::default();
     for stream in parts.into_iter().flatten() {
         let setup = stream.setup();
         let of_settings = warnings(&settings, &setup);
-        let of_start = start.map(|start| warnings(&start.description, &setup));
+        for found in &of_settings {
+            if let Some(sentence) = against_settings(found) {
+                counts.add("settings", found, sentence);
+            }
+        }
         // Data that differ from both are compared with the settings, which decide.
-        let of_start = of_start.into_iter().flatten().filter(|found| !of_settings.contains(found));
-        let sentences =
-            of_settings.iter().filter_map(against_settings).chain(of_start.filter_map(|found| {
-                let is_rest = matches!(found, Warning::RestShape { .. });
-                (!is_rest).then(|| format!("compared with the checkpoint to start from: {found}"))
-            }));
-        for sentence in sentences {
-            *counted.entry(sentence).or_insert(0) += 1;
+        let of_start = start.map(|start| warnings(&start.description, &setup));
+        for found in of_start.into_iter().flatten().filter(|found| !of_settings.contains(found)) {
+            if !matches!(found, Warning::RestShape { .. }) {
+                let sentence = format!("compared with the checkpoint to start from: {found}");
+                counts.add("start", &found, sentence);
+            }
         }
     }
-    let counted = counted.into_iter();
-    let sentences =
-        counted.map(|(sentence, streams)| format!("{sentence} ({streams} of {all} streams)"));
-    sentences.chain(several_stiffnesses(config, dataset)).collect()
+    counts.sentences(all).chain(several_stiffnesses(config, dataset)).collect()
 }
 
 /// How a stream differs from the settings.
@@ -63,9 +60,6 @@ fn against_settings(found: &Warning) -> Option<String> {
         Warning::Gravity { found, expected } => Some(format!(
             "gravity is {found} along y, and the settings say {expected}: features and baselines will fall wrongly; set \
              `gravity = [0.0, {found:?}]`"
-        )),
-        Warning::Stiffness { found, expected: [low, high], conditioned: true } => Some(format!(
-            "stiffness is {found}, and network.stiffness_knots reach from {low} to {high}: widen them"
         )),
         Warning::Stiffness { found, expected: [low, _], conditioned: false } => Some(format!(
             "stiffness is {found}, and elastic_modulus is that of stiffness {low}: the rule `elastic` will move jelly wrongly; set \
@@ -76,8 +70,12 @@ fn against_settings(found: &Warning) -> Option<String> {
             "particle spacing is {found:.5}, and the median of the training part is {expected:.5}: the network will be a \
              compromise; train on streams with one spacing"
         )),
-        // All streams have one domain, and the shape of solids in their first frame.
-        Warning::Domain { .. } | Warning::RestShape { .. } => None,
+        // All streams have one domain, and the shape of solids in their first frame; those that must state their stiffness do.
+        Warning::Domain { .. } | Warning::RestShape { .. } | Warning::AssumedStiffness { .. } => {
+            None
+        }
+        // Beyond the outermost knots, the weights are those of the nearest, and the stiffness is an input.
+        Warning::Stiffness { conditioned: true, .. } => None,
     }
 }
 

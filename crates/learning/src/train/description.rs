@@ -43,6 +43,7 @@ pub(super) fn describe(
         normalize_gates: config.network.normalize_gates,
         stiffness: config.network.stiffness,
         stiffness_knots: config.network.stiffness_knots.clone(),
+        assumed_stiffness: config.network.assumed_stiffness,
         // Training continues from f32; what is validated and published is rounded.
         weights: WeightFormat::F32,
         dt: first.dt,

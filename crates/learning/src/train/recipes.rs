@@ -218,12 +218,14 @@ impl NetworkConfig {
             frame: network.frame,
             cell_width: grid.map_or(self.cell_width, |grid| grid.cell_width),
             channels: grid.map_or_else(|| self.channels.clone(), |grid| grid.channels.clone()),
-            stiffness: network.stiffness,
+            // A network that does not know the stiffness can be the start of one that does.
+            stiffness: network.stiffness || self.stiffness,
             // One set of weights can be the start of several.
             stiffness_knots: match network.stiffness_knots.as_slice() {
                 [] => self.stiffness_knots.clone(),
                 knots => knots.to_vec(),
             },
+            assumed_stiffness: self.assumed_stiffness.or(network.assumed_stiffness),
             weights: self.weights,
         }
     }
@@ -242,6 +244,7 @@ impl NetworkConfig {
             channels: vec![24, 32, 48, 64],
             stiffness: false,
             stiffness_knots: Vec::new(),
+            assumed_stiffness: None,
             weights: WeightFormat::default(),
         }
     }

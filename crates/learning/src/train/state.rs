@@ -11,8 +11,8 @@ use super::{
 };
 use crate::model::dropout::Dropout;
 use eddy_inference::checkpoint::{
-    Checkpoint, Description, Weights, initial_weights, mix, plan::Plan, tensors_of_knot,
-    tensors_of_knots,
+    Checkpoint, Description, Weights, initial_weights, layout::particle_features, mix, plan::Plan,
+    tensors_of_knot, tensors_of_knots,
 };
 
 /// The state of a run between two batches.
@@ -47,22 +47,40 @@ fn seeds(config: &TrainConfig) -> [u64; 3] {
 }
 
 /// The weights before the first step of a run: those of the checkpoint that it starts from, or random ones; the same for all stiffnesses, if
-/// they are to have weights of their own and the checkpoint has one set.
+/// they are to have weights of their own and the checkpoint has one set, and 0 for the stiffness, if the checkpoint does not know it.
 pub(super) fn weights_at_start(
     config: &TrainConfig,
     description: &Description,
     start: Option<&Checkpoint>,
 ) -> BTreeMap<String, Weights> {
     let [.., weights] = seeds(config);
-    let (tensors, knots) = match start {
+    let (mut tensors, knots) = match start {
         None => (initial_weights(description, weights), 0),
         Some(start) => (start.tensors.clone(), start.description.stiffness_knots.len()),
     };
+    if start.is_some_and(|start| start.description.stiffness != description.stiffness) {
+        // Layers that read the features read the stiffness as the last of them.
+        let place = particle_features(description) - 1;
+        for layer in Plan::new(description).layers {
+            match tensors.get_mut(&layer.weight) {
+                Some(matrix) if matrix.shape[1] < layer.input => add_input(matrix, place),
+                _ => {}
+            }
+        }
+    }
     match (knots, description.stiffness_knots.len()) {
         (0, wanted) if wanted > 0 => tensors_of_knots(&vec![tensors; wanted]),
         // A start with weights for several stiffnesses has those of the settings (`TrainConfig::check_start`).
         _ => tensors,
     }
+}
+
+/// Inserts a column of zeros into a matrix `[output, input]`.
+fn add_input(matrix: &mut Weights, place: usize) {
+    let columns = matrix.shape[1];
+    let row = |row: &[f32]| [&row[..place], &[0.0], &row[place..]].concat();
+    matrix.values = matrix.values.chunks(columns).flat_map(row).collect();
+    matrix.shape[1] = columns + 1;
 }
 
 /// Weights in the order of the optimizer: that of the plan, those of each knot one after the other if there are several.
@@ -199,12 +217,71 @@ impl RunState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_inference::checkpoint::Architecture;
+    use eddy_frames::{Domain, Frame, Material, Stamp};
+    use eddy_inference::{
+        checkpoint::{Architecture, Core, Sizes},
+        engine::Surrogate,
+    };
+
+    fn frame() -> Frame {
+        let place = |k: usize| [0.4 + 0.008 * (k % 5) as f32, 0.1 + 0.009 * (k / 5) as f32];
+        Frame {
+            stream: 0,
+            sequence: 0,
+            stamp: Stamp(0),
+            dt: 0.016,
+            domain: Domain::UNIT,
+            position: (0..20).map(place).collect(),
+            velocity: (0..20).map(|k| [0.1 * k as f32, -0.5]).collect(),
+            material: vec![Material::Snow; 20],
+        }
+    }
+
+    /// The velocities after two frames; `stiffness` for a network that is conditioned on it.
+    fn predicted(checkpoint: &Checkpoint, stiffness: Option<f32>) -> Vec<[f32; 2]> {
+        let surrogate = Surrogate::load(checkpoint, None).unwrap();
+        let mut frame = frame();
+        let mut hidden = surrogate.start_with_stiffness(&frame, stiffness).unwrap();
+        for _ in 0..2 {
+            let state = surrogate.stepper().step(&mut hidden, &frame);
+            (frame.position, frame.velocity) = (state.position, state.velocity);
+        }
+        frame.velocity
+    }
+
+    #[test]
+    fn a_network_that_learns_of_the_stiffness_begins_as_the_one_without() {
+        let sizes = Sizes { encoder: 5, hidden: 6, layers: 1, particles: None };
+        let plain = Description::untrained(Architecture::Particle, Core::MinGru, sizes);
+        let mut tensors = initial_weights(&plain, 7);
+        // A decoder of zeros would hide everything.
+        let decoder = &mut tensors.get_mut("decoder.weight").unwrap().values;
+        decoder.iter_mut().enumerate().for_each(|(k, weight)| *weight = 0.1 * (k % 7) as f32);
+        let start = Checkpoint::new(plain.clone(), tensors);
+        let expected = predicted(&start, None);
+        assert_ne!(expected, frame().velocity, "the network says something");
+        for knots in [vec![], vec![1e3, 1e5]] {
+            let mut config = TrainConfig::defaults(Architecture::Particle);
+            config.network = config.network.with_layers_of(&plain);
+            (config.network.stiffness, config.network.stiffness_knots) = (true, knots.clone());
+            config.check_start(&plain).unwrap();
+            let description =
+                Description { stiffness: true, stiffness_knots: knots, ..plain.clone() };
+            let tensors = weights_at_start(&config, &description, Some(&start));
+            let checkpoint = Checkpoint::new(description, tensors);
+            for stiffness in [1e3, 2e4] {
+                let found = predicted(&checkpoint, Some(stiffness));
+                for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                    assert!((found - expected).abs() < 1e-5, "{stiffness}: {found}, {expected}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn one_set_of_weights_is_the_start_of_those_of_every_stiffness() {
         let config = TrainConfig::defaults(Architecture::Particle);
-        let start = Checkpoint::shipped().unwrap();
+        let start = Checkpoint::shipped().unwrap().at_stiffness(1e3);
         let mut description = start.description.clone();
         description.stiffness_knots = vec![1e3, 1e4, 1e5];
         let all = weights_at_start(&config, &description, Some(&start));

@@ -14,7 +14,7 @@ use super::{
 };
 use eddy_frames::{Frame, FrameView};
 use eddy_inference::{
-    engine::{ModelError, Stated, StepRequest, Stepper, Surrogate},
+    engine::{ModelError, Stated, StepRequest, Stepper, Surrogate, Warning},
     error_model::ErrorTracker,
 };
 use eddy_messages::{StreamState as Phase, lifecycle::Transition, services::Parameter};
@@ -458,7 +458,10 @@ impl SurrogateNode {
         let is_new = self.warned.insert(frame.stream);
         let stated = Stated { stiffness: stiffness.or(self.stated.stiffness), ..self.stated };
         for warning in self.surrogate.warnings(frame, stated) {
-            if !is_new {
+            // What is a setting of the node is said for one stream.
+            let of_node = matches!(warning, Warning::AssumedStiffness { .. });
+            let text = warning.to_string();
+            if !is_new || of_node && self.warnings.iter().any(|(_, said)| *said == text) {
                 tracing::debug!("stream {}: {warning}", frame.stream);
                 continue;
             }
@@ -466,7 +469,7 @@ impl SurrogateNode {
             if self.warnings.len() >= MAX_WARNINGS {
                 self.warnings.remove(0);
             }
-            self.warnings.push((frame.stream, warning.to_string()));
+            self.warnings.push((frame.stream, text));
         }
         let error_tracker = self.surrogate.error_model().map(|_| {
             ErrorTracker::new(self.surrogate.description(), &frame.domain, &frame.material)
