@@ -58,8 +58,12 @@ def test_a_network_is_conditioned_on_the_stiffness_of_each_scene_and_of_each_str
     assert soft != stiff
     with pytest.raises(ValueError, match="stiffness: found nothing, expected Young's modulus"):
         surrogate.stream(first)
+    # The shipped model assumes a stiffness.
+    shipped = eddy.Surrogate()
+    assert shipped.stream(first).step(first) == shipped.stream(first, stiffness=1e3).step(first)
+    eddy.train(bags, tmp_path / "plain", SMALL)
     with pytest.raises(ValueError, match="stiffness: found 1000, expected nothing"):
-        eddy.Surrogate().stream(first, stiffness=1e3)
+        eddy.Surrogate(tmp_path / "plain").stream(first, stiffness=1e3)
     with pytest.raises(ValueError, match="stiffness: found nothing, expected Young's modulus"):
         eddy.Node("shm:/stiffness/in", "shm:/stiffness/out", surrogate).start()
 

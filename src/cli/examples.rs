@@ -47,7 +47,7 @@ pub(super) const EXAMPLES: &[Examples] = &[
             "eddy node --input shm:/particles --output shm:/prediction --horizon 10 --publish all",
             "eddy node --checkpoint checkpoints/mine --ros-args -r __ns:=/robot1 -p max_gap:=5",
             "eddy node --horizon 20 --ros-args -p max_expected_error:=0.05",
-            "eddy node --checkpoint checkpoints/particle-mingru-conditioned --stiffness 1e4",
+            "eddy node --stiffness 1e4",
         ],
     ),
     (

@@ -77,12 +77,10 @@ fn a_calibrated_checkpoint_shows_in_evaluations_how_well_its_estimates_hold() {
 }
 
 #[test]
-fn every_shipped_checkpoint_has_estimates_of_its_own() {
-    for directory in [SHIPPED.to_owned(), format!("{SHIPPED}-stiff")] {
-        let checkpoint = Checkpoint::load(Path::new(&directory)).unwrap();
-        let calibrated = checkpoint.error_model.as_ref().unwrap();
-        assert_eq!(calibrated.checkpoint, checkpoint.digest(), "{directory}");
-    }
+fn the_shipped_checkpoint_has_estimates_of_its_own() {
+    let checkpoint = Checkpoint::load(Path::new(SHIPPED)).unwrap();
+    let calibrated = checkpoint.error_model.as_ref().unwrap();
+    assert_eq!(calibrated.checkpoint, checkpoint.digest());
 }
 
 #[test]

@@ -353,8 +353,15 @@ fn the_gain_of_a_model_over_the_first_has_an_interval_over_scenes() {
     let (data, output) = (path(&folder, "truth"), path(&folder, "report"));
     let scenes = ["--preset", "fluid", "--scenes", "5", "--duration", "0.2", "--output", &data];
     succeed(["simulate"].iter().chain(&scenes));
-    let stiff = format!("{SHIPPED}-stiff");
-    let mut arguments = vec!["eval", "--checkpoint", SHIPPED, &stiff, "--data", &data];
+    // Another network, with random weights.
+    let sizes = Sizes { encoder: 4, hidden: 4, layers: 1, particles: None };
+    let mut description = Description::untrained(Architecture::Particle, Core::Mlp, sizes);
+    description.normalization.minimum[2..].fill(-9.0);
+    description.normalization.maximum[2..].fill(9.0);
+    let weights = initial_weights(&description, 1);
+    let other = path(&folder, "other");
+    Checkpoint::new(description, weights).save(Path::new(&other)).unwrap();
+    let mut arguments = vec!["eval", "--checkpoint", SHIPPED, &other, "--data", &data];
     arguments.extend(["--output", &output, "--horizon", "5", "--starts", "2", "--threads", "2"]);
     let printed = succeed(arguments);
     assert!(printed.contains("gain over the first model"), "{printed}");

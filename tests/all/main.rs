@@ -26,6 +26,7 @@ mod launch_configs;
 mod mpm;
 mod outputs;
 mod pipeline;
+mod prose;
 mod pty;
 mod pytorch;
 #[cfg(target_os = "linux")]

@@ -115,6 +115,11 @@ const NEARLY: &[(&str, i32, &str)] = &[
         "; did you mean checkpoints/particle-mingru?",
     ),
     (
+        "predict --checkpoint checkpoints/particle-mingru-stiff --input bags/sample --output o",
+        1,
+        "leave `--checkpoint` out, and give or state the stiffness",
+    ),
+    (
         "launch launch_configs/launch/chain_shn.toml",
         1,
         "; did you mean launch_configs/launch/chain_shm.toml?",

@@ -80,7 +80,7 @@ pub struct SceneArgs {
     /// in this range [default: the scene's; 1000, preset stiff 1e5].
     #[arg(long, value_name = "E|LOW..HIGH", value_parser = Stiffness::parse)]
     pub stiffness: Option<Stiffness>,
-    /// Constitutive law of liquids: water, settling (water that comes to rest), or that of Taichi's mpm128 [default: the scene's; water].
+    /// Constitutive law of liquids: settling (water that comes to rest), water, or that of Taichi's mpm128 [default: the scene's; settling].
     #[arg(long, value_enum)]
     pub law: Option<Law>,
     /// Kinematic viscosity of water (domain lengths^2/s) [default: the scene's; 0].

@@ -36,9 +36,9 @@ pub(super) const SNOW_STRETCH: [f32; 2] = [1.0 - 2.5e-2, 1.0 + 4.5e-3];
 #[serde(rename_all = "lowercase")]
 pub enum Law {
     /// Weakly compressible water: Tait's pressure without tension, and viscosity.
-    #[default]
     Water,
     /// As `water`, with a pressure that varies smoothly and a density that knows the walls, so that it comes to rest.
+    #[default]
     Settling,
     /// The law of Taichi's `mpm128`: the volumetric part of the solids' law, including tension.
     Taichi,

@@ -36,7 +36,10 @@ pub fn follow(path: &str) {
     }
 }
 
-/// The Markdown files at the top of the repository that users read, and those of the book.
+/// The card of the shipped model.
+pub const CARD: &str = "checkpoints/particle-mingru/README.md";
+
+/// The Markdown files outside the book that users read, and those of the book.
 pub fn documents() -> BTreeSet<String> {
     fn collect(folder: &Path, found: &mut BTreeSet<String>) {
         for entry in fs::read_dir(folder).unwrap() {
@@ -48,7 +51,8 @@ pub fn documents() -> BTreeSet<String> {
             }
         }
     }
-    let mut found = BTreeSet::from(["CONTRIBUTING.md".to_owned(), "README.md".to_owned()]);
+    let others = ["CONTRIBUTING.md", "README.md", "checkpoints/README.md", CARD];
+    let mut found = BTreeSet::from(others.map(str::to_owned));
     collect(&root().join("docs/src"), &mut found);
     found
 }

@@ -18,7 +18,7 @@ mod world;
 use std::{collections::BTreeSet, fs};
 
 use follow::follow;
-pub use follow::{documents, root, spans};
+pub use follow::{CARD, documents, root, spans};
 use page::blocks;
 use tables::{CLUSTER, CORES, MANY_ROBOTS, NUMBERS, STREAMS};
 
@@ -39,6 +39,7 @@ macro_rules! pages {
 
 pages! {
     the_readme: "README.md",
+    the_model_s_card: "checkpoints/particle-mingru/README.md",
     the_tutorial: "docs/src/tutorial.md",
     how_to_train_elsewhere: "docs/src/how-to/pytorch.md",
     how_to_use_python: "docs/src/how-to/python.md",
@@ -57,6 +58,7 @@ pages! {
     how_to_secure_zenoh: "docs/src/how-to/secure_zenoh.md",
     how_to_set_up_a_shell: "docs/src/how-to/shell.md",
     how_to_deploy: "docs/src/deploy/README.md",
+    the_paper_s_study: "docs/src/background/paper.md",
     what_a_gpu_does: "docs/src/background/gpu.md",
 }
 

@@ -72,12 +72,7 @@ impl World {
     /// A folder with the files of a clone, and the programs in the path.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for name in [
-            "bags/sample",
-            "checkpoints/particle-mingru",
-            "checkpoints/particle-mingru-conditioned",
-            "launch_configs",
-        ] {
+        for name in ["bags/sample", "checkpoints/particle-mingru", "launch_configs"] {
             copy(&root().join(name), &folder.path().join(name));
         }
         fs::create_dir(folder.path().join(".bin")).unwrap();

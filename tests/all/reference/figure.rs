@@ -17,10 +17,10 @@ struct Series {
 
 const SERIES: [Series; 6] = [
     Series {
-        label: "eddy: trained for 6, 16, 35 minutes (shipped)",
+        label: "eddy: trained for 6, 16, 35 minutes",
         colour: "#0072b2",
         corners: &[],
-        rows: &["eddy, six minutes", "eddy, 16 minutes", "**eddy, shipped model**"],
+        rows: &["eddy, six minutes", "eddy, 16 minutes", "**eddy, 35 minutes**"],
     },
     Series {
         label: "MPM restarted: on a quarter of the grid, half, all",

@@ -58,6 +58,9 @@ pub struct Timing {
     pub frames: usize,
 }
 
+/// Stiffness of streams for a network that is conditioned on it; times do not depend on it.
+const STIFFNESS: f32 = 1e3;
+
 impl Case {
     /// The paper's frame model with initial weights.
     pub fn frame(core: Core, particles: usize) -> Self {
@@ -75,7 +78,8 @@ impl Case {
     /// # Errors
     /// As [`Checkpoint::shipped`].
     pub fn shipped(particles: usize) -> Result<Self, CheckpointError> {
-        let checkpoint = Checkpoint::shipped()?;
+        // With one set of weights, as a frame reads.
+        let checkpoint = Checkpoint::shipped()?.at_stiffness(STIFFNESS);
         let frame = frame_for(&checkpoint.description, particles);
         Ok(Self { checkpoint, frame })
     }
@@ -83,6 +87,11 @@ impl Case {
     /// Size of the weights (bytes), which are read once per frame.
     pub fn weights(&self) -> usize {
         self.checkpoint.parameters() * size_of::<f32>()
+    }
+
+    /// The stiffness of the stream, if the network is conditioned on it.
+    fn stiffness(&self) -> Option<f32> {
+        self.checkpoint.description.stiffness.then_some(STIFFNESS)
     }
 
     /// Times frames for about `seconds`, at least a hundred.
@@ -93,14 +102,16 @@ impl Case {
         let times = match engine {
             Engine::Own(threads) => {
                 let surrogate = Surrogate::load(&self.checkpoint, Some(threads))?;
-                let (mut stepper, mut memory) =
-                    (surrogate.stepper(), surrogate.start(&self.frame)?);
+                let (mut stepper, mut memory) = (
+                    surrogate.stepper(),
+                    surrogate.start_with_stiffness(&self.frame, self.stiffness())?,
+                );
                 let mut next = self.frame.clone();
                 time(seconds, || stepper.step_into(&mut memory, &self.frame, &mut next))
             }
             Engine::Burn(device) => {
                 let reference = Reference::load(&self.checkpoint, device)?;
-                let mut memory = reference.start(&self.frame, None);
+                let mut memory = reference.start(&self.frame, self.stiffness());
                 time(seconds, || {
                     reference.step(&mut memory, &self.frame);
                 })

@@ -193,7 +193,7 @@ pub struct BenchSolverArgs {
     #[arg(long, value_name = "N", value_delimiter = ',', default_value = "1,2")]
     pub threads: Vec<usize>,
     /// Constitutive law of liquids: water, settling (water that comes to rest), or that of Taichi's mpm128.
-    #[arg(long, value_enum, default_value_t = Law::Water)]
+    #[arg(long, value_enum, default_value_t = Law::default())]
     pub law: Law,
     /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 1.0)]

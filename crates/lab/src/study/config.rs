@@ -8,7 +8,7 @@ use eddy_dataset::simulate::{SimulationRequest, Source};
 use eddy_evaluation::{SCENE_FRAMES, bootstrap::MIN_SCENES};
 use eddy_inference::checkpoint::{Activation, Architecture, Core, FrameOutput};
 use eddy_learning::train::{Observed, TrainConfig};
-use eddy_mpm::{Extent, ParticleOrder, Preset, Settings};
+use eddy_mpm::{Extent, Law, ParticleOrder, Preset, Settings};
 
 /// What the seed of `study scenes`'s test scenes is larger by.
 const TEST_SEEDS: u64 = 1000;
@@ -335,7 +335,13 @@ impl DataSet {
             scene_name: None,
             scenes,
             seed: self.seed,
-            settings: Settings { duration: data.duration, order, ..Settings::default() },
+            // The law of the results in `docs/lab/the_papers_study.md`.
+            settings: Settings {
+                duration: data.duration,
+                order,
+                law: Some(Law::Water),
+                ..Settings::default()
+            },
             fields: false,
             device: None,
             threads: None,
