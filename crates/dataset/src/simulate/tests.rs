@@ -16,7 +16,7 @@ use eddy_bag::BagReader;
 use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;
 use eddy_frames::{Material, progress::Silent};
-use eddy_mpm::{Body, Extent, Interval, Preset, Shape, Solver};
+use eddy_mpm::{Body, Extent, Interval, Law, Preset, Shape, Solver};
 
 /// Two frames of each scene, on one thread.
 fn request(scenes: u32) -> SimulationRequest {
@@ -432,7 +432,13 @@ fn a_damaged_bag_is_found_when_the_request_is_repeated() {
 fn scenes_of_older_versions_fall_down_as_they_did() {
     // Both written by eddy 0.1.0 of 2026-11, in which gravity was along -y: the scene, and the manifest of its bag.
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/src/simulate/golden/older_scene.toml");
-    let mut scene: Scene = eddy_settings::load(Path::new(file)).unwrap();
+    // The default law was `water`.
+    let load = || {
+        let mut scene: Scene = eddy_settings::load(Path::new(file)).unwrap();
+        scene.materials.law = Law::Water;
+        scene
+    };
+    let mut scene = load();
     assert_eq!(scene.solver.gravity, 1.6);
     assert!(scene.check().unwrap_err().to_string().contains("negative is down"));
     let folder = tempfile::tempdir().unwrap();
@@ -449,8 +455,7 @@ fn scenes_of_older_versions_fall_down_as_they_did() {
 
     // The request reads it, too, and gives the frames of then.
     let digest = manifest.split("\"sha256\":\"").nth(1).unwrap().split('"').next().unwrap();
-    let older: Scene = eddy_settings::load(Path::new(file)).unwrap();
-    let (settings, source) = (Settings::default(), Source::Written(Box::new(older)));
+    let (settings, source) = (Settings::default(), Source::Written(Box::new(load())));
     let request = SimulationRequest { source, settings, ..request(1) };
     let (_other, output) = output();
     let summary = simulate(&request, &output, &Silent, None).unwrap();
