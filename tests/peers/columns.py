@@ -10,20 +10,10 @@ import argparse
 import random
 from pathlib import Path
 
+from unlike_scenes import SPACING, WALL, body
+
 MATERIALS = ("liquid", "snow", "jelly")
-SPACING = 1 / 128
-# The outermost three cells are walls.
-WALL = 3 / 64
 INSIDE = 1 - 2 * WALL
-
-
-def column(material: str, left: float, width: float, height: float) -> str:
-    return "\n".join((
-        "[[bodies]]",
-        f'material = "{material}"',
-        f"shape.rectangle.size = [{width:.6g}, {height:.6g}]",
-        f"position = [{left + width / 2:.6g}, {WALL + height / 2:.6g}]",
-    ))
 
 
 def columns(generator: random.Random) -> list[str]:
@@ -38,7 +28,8 @@ def columns(generator: random.Random) -> list[str]:
         free = WALL + (number + 1) * INSIDE / count - left - width
         # At the wall, as in a dam break, or anywhere.
         gap = generator.choice((0.0, free, generator.uniform(0, free)))
-        bodies.append(column(generator.choice(MATERIALS), left + gap, width, height))
+        centre = (left + gap + width / 2, WALL + height / 2)
+        bodies.append(body(generator.choice(MATERIALS), {"rectangle": {"size": [width, height]}}, centre))
         left = WALL + (number + 1) * INSIDE / count
     return bodies
 

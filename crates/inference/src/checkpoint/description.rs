@@ -153,13 +153,13 @@ impl Description {
     /// The smallest and the largest stiffness of the matter that it was trained on (density x velocity^2): what the streams stated,
     /// otherwise those that it has weights for, otherwise that of the rule `elastic`; `None` if none of them says it.
     pub fn trained_stiffness(&self) -> Option<[f32; 2]> {
-        let of_weights = match self.stiffness_knots.as_slice() {
+        let of_weights = || match self.stiffness_knots.as_slice() {
             [low, .., high] => Some([*low, *high]),
             _ => None,
         };
-        let of_rule = || self.rules.elastic.filter(|_| !self.stiffness);
-        let stated = self.training.stiffness.or(of_weights);
-        stated.or_else(|| of_rule().map(|rule| [rule.stiffness(); 2]))
+        let rule = self.rules.elastic.filter(|_| !self.stiffness);
+        let of_rule = || rule.map(|rule| [rule.stiffness(); 2]);
+        self.training.stiffness.or_else(of_weights).or_else(of_rule)
     }
 
     /// An untrained network of the given sizes with default options: standard rules for the particle model, the paper's frame

@@ -61,6 +61,11 @@ pub struct Timing {
 /// Stiffness of streams for a network that is conditioned on it; times do not depend on it.
 const STIFFNESS: f32 = 1e3;
 
+/// [`STIFFNESS`], if this network is conditioned on it.
+pub(super) fn stiffness(description: &Description) -> Option<f32> {
+    description.stiffness.then_some(STIFFNESS)
+}
+
 impl Case {
     /// The paper's frame model with initial weights.
     pub fn frame(core: Core, particles: usize) -> Self {
@@ -89,29 +94,23 @@ impl Case {
         self.checkpoint.parameters() * size_of::<f32>()
     }
 
-    /// The stiffness of the stream, if the network is conditioned on it.
-    fn stiffness(&self) -> Option<f32> {
-        self.checkpoint.description.stiffness.then_some(STIFFNESS)
-    }
-
     /// Times frames for about `seconds`, at least a hundred.
     ///
     /// # Errors
     /// [`ModelError`] when the network does not support the frame.
     pub fn time(&self, engine: Engine, seconds: f64) -> Result<Timing, ModelError> {
+        let stiffness = stiffness(&self.checkpoint.description);
         let times = match engine {
             Engine::Own(threads) => {
                 let surrogate = Surrogate::load(&self.checkpoint, Some(threads))?;
-                let (mut stepper, mut memory) = (
-                    surrogate.stepper(),
-                    surrogate.start_with_stiffness(&self.frame, self.stiffness())?,
-                );
+                let (mut stepper, mut memory) =
+                    (surrogate.stepper(), surrogate.start_with_stiffness(&self.frame, stiffness)?);
                 let mut next = self.frame.clone();
                 time(seconds, || stepper.step_into(&mut memory, &self.frame, &mut next))
             }
             Engine::Burn(device) => {
                 let reference = Reference::load(&self.checkpoint, device)?;
-                let mut memory = reference.start(&self.frame, self.stiffness());
+                let mut memory = reference.start(&self.frame, stiffness);
                 time(seconds, || {
                     reference.step(&mut memory, &self.frame);
                 })

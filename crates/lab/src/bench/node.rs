@@ -9,7 +9,7 @@ use std::{
 
 use serde::Serialize;
 
-use super::{Spread, Tail, particles, transport::Stopping};
+use super::{Spread, Tail, inference::stiffness, particles, transport::Stopping};
 use eddy_frames::{Frame, Stamp, clock::Clock};
 use eddy_inference::{
     checkpoint::Checkpoint,
@@ -102,7 +102,7 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     let each = (plan.seconds * plan.hertz).ceil() as u64;
     let settings = NodeSettings {
         max_streams: plan.streams.max(1) as usize,
-        stiffness: stiffness(&surrogate).map(f64::from),
+        stiffness: stiffness(surrogate.description()).map(f64::from),
         ..NodeSettings::default()
     };
     let queue = FrameQueue::new(settings.queue, Reliability::Drop);
@@ -194,16 +194,11 @@ pub fn time(checkpoint: &Checkpoint, plan: &Plan) -> Result<Timing, BenchError> 
     })
 }
 
-/// A stiffness for a network that is conditioned on it, on which times do not depend.
-fn stiffness(surrogate: &Surrogate) -> Option<f32> {
-    surrogate.description().stiffness.then_some(1e3)
-}
-
 /// Time per frame of the model alone at the same rate, with equally cold caches and sleeping threads, and its number of
 /// threads.
 fn alone(surrogate: &Surrogate, frame: &Frame, plan: &Plan) -> Result<(Spread, usize), ModelError> {
     let mut stepper = surrogate.stepper();
-    let mut memory = surrogate.start_with_stiffness(frame, stiffness(surrogate))?;
+    let mut memory = surrogate.start_with_stiffness(frame, stiffness(surrogate.description()))?;
     let mut next = frame.clone();
     let pause = Duration::from_secs_f64(1.0 / (plan.hertz * plan.streams.max(1) as f64));
     let frames = WARM_UP + (plan.seconds / 2.0 / pause.as_secs_f64()) as usize + 1;

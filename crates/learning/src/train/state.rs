@@ -62,9 +62,10 @@ pub(super) fn weights_at_start(
         // Layers that read the features read the stiffness as the last of them.
         let place = particle_features(description) - 1;
         for layer in Plan::new(description).layers {
-            match tensors.get_mut(&layer.weight) {
-                Some(matrix) if matrix.shape[1] < layer.input => add_input(matrix, place),
-                _ => {}
+            if let Some(matrix) = tensors.get_mut(&layer.weight)
+                && matrix.shape[1] < layer.input
+            {
+                add_input(matrix, place);
             }
         }
     }

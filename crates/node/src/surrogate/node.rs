@@ -458,7 +458,7 @@ impl SurrogateNode {
         let is_new = self.warned.insert(frame.stream);
         let stated = Stated { stiffness: stiffness.or(self.stated.stiffness), ..self.stated };
         for warning in self.surrogate.warnings(frame, stated) {
-            // What is a setting of the node is said for one stream.
+            // The assumed stiffness is the same for all streams: one warning is enough.
             let of_node = matches!(warning, Warning::AssumedStiffness { .. });
             let text = warning.to_string();
             if !is_new || of_node && self.warnings.iter().any(|(_, said)| *said == text) {
