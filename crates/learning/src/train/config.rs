@@ -171,6 +171,10 @@ pub struct LossConfig {
     /// whose error is less change the weights less; without it, a window that is predicted well changes them as much as any.
     #[serde(default = "LossConfig::least_error_floor")]
     pub error_floor: f32,
+    /// Relative loss: position error below which accuracy does not count (domain lengths); of velocities, this in a frame. Errors
+    /// below the noise do not count in windows with noise.
+    #[serde(default = "LossConfig::usual_resolution")]
+    pub resolution: f32,
     /// Weight of the mean squared error of density maps (whose mean is 1).
     pub density_weight: f32,
     /// Nodes of the density maps along an axis.
@@ -394,6 +398,13 @@ impl LossConfig {
         Self::LEAST_ERROR_FLOOR
     }
 
+    /// A fifteenth of the spacing of particles in the solver's scenes.
+    pub(super) const USUAL_RESOLUTION: f32 = 5e-4;
+
+    fn usual_resolution() -> f32 {
+        Self::USUAL_RESOLUTION
+    }
+
     fn check(&self) -> Result<(), TrainError> {
         not_negative("loss.position_weight", self.position_weight)?;
         not_negative("loss.velocity_weight", self.velocity_weight)?;
@@ -407,6 +418,7 @@ impl LossConfig {
         let valid =
             self.density_weight == 0.0 || (2..=LARGEST_DENSITY_GRID).contains(&self.density_grid);
         require("loss.density_grid", self.density_grid, valid, "2 to 4096")?;
+        positive("loss.resolution", self.resolution)?;
         share("loss.common_share", self.common_share)
     }
 }

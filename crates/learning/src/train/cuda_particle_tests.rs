@@ -172,6 +172,7 @@ fn scale<'a>(
 ) -> LossScale<'a> {
     let mut scale = LossScale {
         loss: &config.loss,
+        noise: &config.windows.noise,
         normalization: &description.normalization,
         ballistic: Ballistic::new(description),
         common: Vec::new(),

@@ -131,6 +131,7 @@ fn compare(config: &TrainConfig, scaling: FeatureScaling) {
     let sampler = Sampler::new(&streams, &config.windows, unroll).unwrap();
     let mut scale = LossScale {
         loss: &config.loss,
+        noise: &config.windows.noise,
         normalization: &description.normalization.clone(),
         ballistic: Ballistic::new(&description),
         common: Vec::new(),
@@ -291,6 +292,7 @@ fn a_run_on_a_gpu_keeps_the_state_of_a_run_on_the_cpu() {
     let unroll = config.unroll[0].frames;
     let scale = LossScale {
         loss: &config.loss,
+        noise: &config.windows.noise,
         normalization: &description.normalization,
         ballistic: Ballistic::new(&description),
         common: Vec::new(),

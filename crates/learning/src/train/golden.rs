@@ -115,6 +115,7 @@ impl Golden {
     fn batch(&self, warm_up: usize, device: &Device) -> Batch {
         let scale = LossScale {
             loss: &self.config.loss,
+            noise: &self.config.windows.noise,
             normalization: &self.description.normalization,
             ballistic: Ballistic::new(&self.description),
             common: Vec::new(),
@@ -305,6 +306,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
         training.set_weights(&golden.weights).unwrap();
         let scale = LossScale {
             loss: &config.loss,
+            noise: &config.windows.noise,
             normalization: &description.normalization,
             ballistic: Ballistic::new(description),
             common: Vec::new(),

@@ -5,18 +5,16 @@
 //! Relative error: divided by the error of the best trivial predictor for the same material and number of frames ahead, so
 //! that 1 means "no better than trivial" for every frame. The divisor is between the error of the window and the mean over all
 //! windows: with the former alone, windows at rest, where nothing remains to be learned, would count as much as a splash;
-//! with the latter alone, they would hardly count. Errors below [`RESOLUTION`] are not distinguished. For a network that is
-//! conditioned on the stiffness, the mean is over windows of about the same stiffness, since trivial errors depend on it.
+//! with the latter alone, they would hardly count. Errors below the resolution are not distinguished, nor, in a window with
+//! noise, errors below that. For a network that is conditioned on the stiffness, the mean is over windows of about the same
+//! stiffness, since trivial errors depend on it.
 
 use std::borrow::Cow;
 
-use super::{LossConfig, LossKind, window::Window};
+use super::{LossConfig, LossKind, NoiseConfig, window::Window};
 use eddy_frames::{Material, State};
 use eddy_inference::engine::Baseline;
 use eddy_inference::{checkpoint::Normalization, engine::Ballistic};
-
-/// Position error below which accuracy is irrelevant (domain lengths): a thirtieth of a cell.
-const RESOLUTION: f64 = 5e-4;
 
 /// The powers of ten at which trivial errors are averaged by stiffness (Young's modulus in density x velocity^2); between
 /// them they are interpolated.
@@ -30,9 +28,20 @@ type Pair = [f64; 2];
 /// Mean squared errors of the best trivial predictor, by frame ahead and material.
 pub(super) type TrivialErrors = Vec<[Pair; Material::COUNT]>;
 
+/// What the weights of a window depend on beside its motion.
+pub(super) struct WindowKind<'a> {
+    /// Materials, `[N]`.
+    pub(super) material: &'a [Material],
+    /// Its stream's stiffness, if it is known (density x velocity^2).
+    pub(super) stiffness: Option<f32>,
+    /// Whether the network observes the last state with noise.
+    pub(super) noisy: bool,
+}
+
 /// Computes the weights.
 pub(super) struct LossScale<'a> {
     pub(super) loss: &'a LossConfig,
+    pub(super) noise: &'a NoiseConfig,
     pub(super) normalization: &'a Normalization,
     /// For the trivial predictors.
     pub(super) ballistic: Ballistic,
@@ -53,8 +62,12 @@ impl LossScale<'_> {
             }
             LossKind::Relative => {
                 let own = self.needs_windows().then(|| self.trivial(window, unroll));
-                let frames =
-                    self.relative(&window.material, window.stiffness, own.as_ref(), unroll);
+                let kind = WindowKind {
+                    material: &window.material,
+                    stiffness: window.stiffness,
+                    noisy: window.noisy.is_some(),
+                };
+                let frames = self.relative(&kind, own.as_ref(), unroll);
                 [0, 1].map(|part| {
                     let kinds = |frame: &[[f32; Material::COUNT]; 2]| {
                         let weight = frame[part];
@@ -82,13 +95,11 @@ impl LossScale<'_> {
         self.loss.common_share < 1.0
     }
 
-    /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material, of a window of
-    /// particles of these materials and of this stiffness; `own` are the trivial errors in it, needed only if the divisor
-    /// depends on them.
+    /// Weights of squared errors of positions and velocities in the relative loss, by frame ahead and material; `own` are the
+    /// trivial errors in the window, needed only if the divisor depends on them.
     pub(super) fn relative(
         &self,
-        material: &[Material],
-        stiffness: Option<f32>,
+        &WindowKind { material, stiffness, noisy }: &WindowKind,
         own: Option<&TrivialErrors>,
         unroll: usize,
     ) -> Vec<[[f32; Material::COUNT]; 2]> {
@@ -100,7 +111,7 @@ impl LossScale<'_> {
         let share = f64::from(self.loss.common_share);
         let frame = |(own, common): (&[Pair; Material::COUNT], &[Pair; Material::COUNT])| {
             [0, 1].map(|part| {
-                let floor = self.floor(part);
+                let floor = self.floor(part, noisy);
                 std::array::from_fn(|m| {
                     let error = (own[m][part] + floor).powf(1.0 - share)
                         * (common[m][part] + floor).powf(share);
@@ -139,10 +150,13 @@ impl LossScale<'_> {
         [self.loss.position_weight, self.loss.velocity_weight].map(f64::from)
     }
 
-    /// The smallest relevant squared error, of positions or velocities.
-    fn floor(&self, part: usize) -> f64 {
-        let unit = if part == 0 { 1.0 } else { f64::from(self.ballistic.dt) };
-        (RESOLUTION / unit).powi(2)
+    /// The smallest relevant squared error, of positions or velocities: no network can tell motion from noise.
+    fn floor(&self, part: usize, noisy: bool) -> f64 {
+        let resolution = self.loss.resolution;
+        let NoiseConfig { position, velocity, .. } = *self.noise;
+        let (resolution, noise) =
+            [(resolution, position), (resolution / self.ballistic.dt, velocity)][part];
+        f64::from(if noisy { resolution.max(noise) } else { resolution }).powi(2)
     }
 
     /// Errors of the best trivial predictor over the last `unroll` frames of a window.
@@ -336,7 +350,8 @@ mod tests {
         let mut sums = CommonSums::new(UNROLL, by_stiffness);
         windows.iter().for_each(|window| sums.add(window, &ballistic));
         let normalization = &description.normalization;
-        let scale = LossScale { loss: &config.loss, normalization, ballistic, common: sums.best() };
+        let (loss, noise) = (&config.loss, &config.windows.noise);
+        let scale = LossScale { loss, noise, normalization, ballistic, common: sums.best() };
         assert_eq!(scale.common.len(), UNROLL * parts_of_common(by_stiffness));
         scale.common_at(Some(stiffness), UNROLL)[0][material as usize][1]
     }
@@ -361,6 +376,43 @@ mod tests {
         let rope = [both, vec![window(1e5, Material::Rope, 0.3)]].concat();
         let found = divisor(&rope, true, 1e3, Material::Rope);
         assert!((found - 0.09).abs() < 1e-3, "{found}");
+    }
+
+    /// Weight of the squared velocity error in the first frame of a window, among slow and fast ones.
+    fn weight(error: f32, resolution: f32, noisy: bool) -> f32 {
+        let (mut config, description) =
+            (TrainConfig::defaults(Architecture::Particle), description());
+        config.loss.common_share = 0.5;
+        config.loss.resolution = resolution;
+        let ballistic = Ballistic::new(&description);
+        let mut common = CommonSums::new(UNROLL, false);
+        for error in [1e-4, 1.0] {
+            common.add(&window(1e3, Material::Snow, error), &ballistic);
+        }
+        let scale = LossScale {
+            loss: &config.loss,
+            noise: &config.windows.noise,
+            normalization: &description.normalization,
+            ballistic,
+            common: common.best(),
+        };
+        let mut window = window(1e3, Material::Snow, error);
+        window.noisy = noisy.then(|| window.states[0].clone());
+        scale.weights(&window, UNROLL)[1][0]
+    }
+
+    #[test]
+    fn a_slow_window_counts_for_more_down_to_the_resolution_and_the_noise() {
+        // Its trivial error is 1e-4; the resolutions are 3.1e-3 and 3.1e-2.
+        let fast = weight(1.0, 5e-5, false);
+        let (fine, coarse) = (weight(1e-4, 5e-5, false), weight(1e-4, 5e-4, false));
+        assert!(fine > 100.0 * fast, "{fine}, {fast}");
+        let ratio = fine / coarse;
+        assert!((8.0..11.0).contains(&ratio), "the ratio of the resolutions is 10: {ratio}");
+        // Noise has .02: errors below that say nothing, and are not made more of.
+        let noisy = weight(1e-4, 5e-5, true);
+        let as_coarse = weight(1e-4, 0.02 * 0.016, false);
+        assert!((noisy / as_coarse - 1.0).abs() < 1e-3, "{noisy}, {as_coarse}");
     }
 
     proptest! {

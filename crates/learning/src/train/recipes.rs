@@ -91,6 +91,7 @@ impl TrainConfig {
                 observed_weight: 0.5,
                 common_share: 1.0,
                 error_floor: LossConfig::LEAST_ERROR_FLOOR,
+                resolution: LossConfig::USUAL_RESOLUTION,
                 density_weight: 0.0,
                 density_grid: 32,
             },

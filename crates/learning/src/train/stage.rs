@@ -40,8 +40,13 @@ impl<'a> Stage<'a> {
             state.unroll = unroll;
             state.common = trivial_errors(setup, &ballistic, state)?;
         }
-        let (loss, normalization) = (&config.loss, &description.normalization);
-        let scale = LossScale { loss, normalization, ballistic, common: state.common.clone() };
+        let scale = LossScale {
+            loss: &config.loss,
+            noise: &config.windows.noise,
+            normalization: &description.normalization,
+            ballistic,
+            common: state.common.clone(),
+        };
         learner.begin(&setup.task(&scale), state)?;
         Ok(Self { unroll, sampler, scale })
     }

@@ -163,6 +163,7 @@ impl BurnSteps {
                     (0..windows).map(|_| window(frames + 1, description.dt, &mut random)).collect();
                 let scale = LossScale {
                     loss: &config.loss,
+                    noise: &config.windows.noise,
                     normalization: &description.normalization,
                     ballistic: Ballistic::new(&description),
                     common: Vec::new(),
@@ -311,6 +312,7 @@ mod cuda {
             let Self { config, description, streams, learner, state } = self;
             let scale = LossScale {
                 loss: &config.loss,
+                noise: &config.windows.noise,
                 normalization: &description.normalization,
                 ballistic: Ballistic::new(description),
                 common: Vec::new(),

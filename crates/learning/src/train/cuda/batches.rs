@@ -2,10 +2,11 @@
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 use crate::train::{
     LossKind, OptimizerKind, TrainConfig, TrainError,
-    loss_weights::LossScale,
+    loss_weights::{LossScale, WindowKind},
     optimizer::Correction,
     window::{Draw, Sampler},
 };
@@ -85,7 +86,7 @@ pub(in crate::train) fn weights(
 ) -> Result<Vec<[f32; 4]>, TrainError> {
     type OfFrame = [[f32; 4]; Material::COUNT];
     let of_window = |draw: &Draw| -> Result<Vec<OfFrame>, TrainError> {
-        let (material, stiffness) = (sampler.material(draw), sampler.stiffness(draw));
+        let material = sampler.material(draw);
         if scale.loss.kind == LossKind::Mse {
             return Ok(vec![[scale.squared(unroll * material.len()); Material::COUNT]; unroll]);
         }
@@ -99,13 +100,15 @@ pub(in crate::train) fn weights(
                 [x, x, v, v]
             })
         };
-        Ok(scale
-            .relative(material, stiffness, own.as_ref(), unroll)
-            .into_iter()
-            .map(of_frame)
-            .collect())
+        let kind = WindowKind {
+            material,
+            stiffness: sampler.stiffness(draw),
+            noisy: draw.noise.is_some(),
+        };
+        Ok(scale.relative(&kind, own.as_ref(), unroll).into_iter().map(of_frame).collect())
     };
-    let windows = draws.iter().map(of_window).collect::<Result<Vec<_>, TrainError>>()?;
+    // In parallel: trivial predictors that follow each window take as long as the step on the device.
+    let windows = draws.par_iter().map(of_window).collect::<Result<Vec<_>, TrainError>>()?;
     let of_frame = |frame: usize| windows.iter().flat_map(move |window| window[frame]);
     Ok((0..unroll).flat_map(of_frame).collect())
 }
