@@ -8,6 +8,7 @@ mod node;
 mod service;
 mod simulate;
 mod topic;
+mod topics;
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
@@ -58,9 +59,11 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Simulate a scene, predict it live, record both and evaluate the predictions.
+    /// Simulate scenes and predict them live, side by side on a page.
+    ///
+    /// The first scene and its predictions are recorded and evaluated.
     Demo(DemoArgs),
-    /// Simulate ground truth with the Material Point Method and write one bag per scene.
+    /// Simulate scenes with the Material Point Method, one bag each.
     Simulate(SimulateArgs),
     /// Record topics into an MCAP bag.
     Record(RecordArgs),
@@ -74,7 +77,9 @@ pub enum Command {
     Predict(PredictArgs),
     /// Evaluate checkpoints by free rollouts over bags.
     Eval(EvalArgs),
-    /// Calibrate estimates of a checkpoint's errors, which nodes and `eddy eval` state, by free rollouts over bags.
+    /// Calibrate a checkpoint's estimates of its errors.
+    ///
+    /// Nodes and `eddy eval` state them. They come from free rollouts over bags.
     Calibrate(CalibrateArgs),
     /// Run several eddy processes from one file and restart those that fail.
     Launch(LaunchArgs),
@@ -94,9 +99,10 @@ pub enum Command {
     Man(ManArgs),
 }
 
-/// The command line, with examples at the end of each command's long help.
+/// The command line, with a first screen of commands in groups, topics of help, and examples at the end of each command's
+/// long help.
 pub fn command() -> clap::Command {
-    arguments::prepared(Cli::command(), examples::EXAMPLES)
+    arguments::prepared(topics::with_topics(Cli::command()), examples::EXAMPLES)
 }
 
 impl Cli {
@@ -150,7 +156,7 @@ pub struct ManArgs {
 #[derive(Debug, Args)]
 pub struct RosArgs {
     /// ROS 2 arguments, up to `--` or the end: -r FROM:=TO (topics, services, __node, __ns), -p NAME:=VALUE,
-    /// --params-file FILE, --log-level LEVEL.
+    /// --params-file FILE, --log-level LEVEL [default: none].
     #[arg(
         long,
         num_args = 0..,
@@ -232,10 +238,10 @@ pub struct RecordArgs {
     /// Record all topics, including those that appear later.
     #[arg(long, short)]
     pub all: bool,
-    /// Record all topics whose name matches, including those that appear later.
+    /// Record all topics whose name matches, including those that appear later [default: none].
     #[arg(long, short = 'e')]
     pub regex: Vec<Regex>,
-    /// Exclude topics whose name matches.
+    /// Exclude topics whose name matches [default: none].
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
     /// Transports on which --all and --regex search; a topic on several transports is recorded once.
@@ -247,16 +253,16 @@ pub struct RecordArgs {
     /// Replace an existing bag.
     #[arg(long)]
     pub force: bool,
-    /// Start a new file before one exceeds this size (bytes).
+    /// Start a new file before one exceeds this size (bytes) [default: one file of any size].
     #[arg(long, short = 'b', value_name = "BYTES", visible_alias = "max-size", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_bag_size: Option<u64>,
-    /// Start a new file after this time (s).
+    /// Start a new file after this time (s) [default: one file of any duration].
     #[arg(long, short = 'd', value_name = "SECONDS", visible_alias = "max-duration", value_parser = values::positive_seconds)]
     pub max_bag_duration: Option<f64>,
     /// Stop after this time (s) [default: at SIGINT or SIGTERM].
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub stop_after: Option<f64>,
-    /// Stop after this number of messages.
+    /// Stop after this number of messages [default: at SIGINT or SIGTERM].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_messages: Option<u64>,
     /// Memory for messages waiting to be written (bytes). When it is full, blocking publishers wait up to 5 s; after that,
@@ -268,14 +274,14 @@ pub struct RecordArgs {
     pub compression: Compression,
     /// Entries of custom_data in metadata.yaml, as for `ros2 bag record`; eddy_stiffness=E is Young's modulus of the recorded matter
     /// (density x velocity^2), for checkpoints that are conditioned on it; eddy_gravity=G is gravity along y, negative is down
-    /// (domain lengths per s^2).
+    /// (domain lengths per s^2) [default: none].
     #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = values::key_value)]
     pub custom_data: Vec<(String, String)>,
     /// Request these QoS policies on zenoh and dds: a YAML file with topics and their policies, as for `ros2 bag record`
     /// [default: what the publishers offer].
     #[arg(long, value_name = "FILE")]
     pub qos_profile_overrides_path: Option<PathBuf>,
-    /// Installations of ROS 2 with definitions of message types, separated by colons.
+    /// Installations of ROS 2 with definitions of message types, separated by colons [default: none].
     #[arg(
         long,
         value_name = "PATHS",
@@ -311,7 +317,7 @@ pub struct ReplayArgs {
     /// Skip this much recorded time at the start (s).
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = values::seconds)]
     pub start_offset: f64,
-    /// Stop after this much recorded time (s).
+    /// Stop after this much recorded time (s) [default: at the end].
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub duration: Option<f64>,
     /// Topics to play [default: all].
@@ -323,7 +329,7 @@ pub struct ReplayArgs {
     /// Start paused; the space bar, a service or the live page resumes.
     #[arg(long, short = 'p')]
     pub start_paused: bool,
-    /// Publish a topic under another name, for example /particles:=/truth.
+    /// Publish a topic under another name, for example /particles:=/truth [default: as recorded].
     #[arg(long, value_name = "FROM:=TO")]
     pub remap: Vec<String>,
     /// Wait for N subscribers of each topic before the first message (at most 30 s).
@@ -365,27 +371,27 @@ pub struct TrainArgs {
     /// epochs.
     #[arg(long)]
     pub resume: bool,
-    /// Start from the weights of a checkpoint instead of random ones. Its layers are kept; its gravity and observed frames
-    /// are the defaults, and a fifth of the usual learning rate.
+    /// Start from the weights of a checkpoint. Its layers are kept; its gravity and observed frames are the defaults, and a
+    /// fifth of the usual learning rate [default: random weights].
     #[arg(long, value_name = "CHECKPOINT")]
     pub from: Option<PathBuf>,
-    /// Read settings from a TOML file; command-line options override it.
+    /// Read settings from a TOML file; command-line options override it [default: those of --recipe].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Defaults of all settings: eddy's for the architecture, or the paper's network and training as published.
     #[arg(long, value_enum, default_value_t = Recipe::Default)]
     pub recipe: Recipe,
-    /// Network architecture.
+    /// Network architecture [default: particle].
     #[arg(long, value_enum)]
     pub architecture: Option<Architecture>,
-    /// Recurrent core.
+    /// Recurrent core [default: mingru].
     #[arg(long, value_enum)]
     pub core: Option<Core>,
-    /// Maximum number of epochs.
+    /// Maximum number of epochs [default: that of the settings].
     #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
     /// Seed of initial weights, data order and dropout. With several seeds, each run is written to DIR/seed-N, and a table
-    /// compares them.
+    /// compares them [default: 1].
     #[arg(long, num_args = 1..)]
     pub seed: Vec<u64>,
     /// Memory for the frames of the data; frames beyond it are read from disk when needed, with the same results

@@ -78,7 +78,7 @@ pub struct NewBagArgs {
     #[arg(long, value_enum)]
     pub compression: Option<Compression>,
     /// Entries of custom_data in metadata.yaml, beside those of the input; eddy_stiffness=E is Young's modulus of the recorded matter
-    /// (density x velocity^2), eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2).
+    /// (density x velocity^2), eddy_gravity=G is gravity along y, negative is down (domain lengths per s^2) [default: none].
     #[arg(long, value_name = "KEY=VALUE", num_args = 1.., value_parser = eddy_cli::values::key_value)]
     pub custom_data: Vec<(String, String)>,
 }
@@ -104,7 +104,7 @@ pub struct CutArgs {
     /// End time (exclusive), in the same format as --start [default: after the last message].
     #[arg(long, value_name = "TIME", conflicts_with = "duration")]
     pub end: Option<BagTime>,
-    /// Duration from the start time (recorded s).
+    /// Duration from the start time (recorded s) [default: to the end].
     #[arg(long, value_name = "SECONDS", value_parser = eddy_cli::values::positive_seconds)]
     pub duration: Option<f64>,
     #[command(flatten)]
@@ -129,10 +129,10 @@ pub struct FilterArgs {
     /// Topics to keep [default, without --regex: all that are not excluded].
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     pub topics: Vec<String>,
-    /// Keep topics whose name matches.
+    /// Keep topics whose name matches [default: none beside --topics].
     #[arg(long, short = 'e')]
     pub regex: Vec<Regex>,
-    /// Exclude topics whose name matches.
+    /// Exclude topics whose name matches [default: none].
     #[arg(long, short = 'x')]
     pub exclude: Vec<Regex>,
     #[command(flatten)]
@@ -154,7 +154,7 @@ pub struct ExportArgs {
     /// Bags, or directories of bags.
     #[arg(value_name = "BAG", required = true)]
     pub bags: Vec<PathBuf>,
-    /// Output format.
+    /// Output format [default: none; required without --cloud].
     #[arg(long, short, value_enum, required_unless_present = "cloud")]
     pub format: Option<ExportFormat>,
     /// Copy a bag and add its frames as sensor_msgs/PointCloud2 on TOPIC/cloud, for Foxglove, RViz and Rerun.
@@ -177,10 +177,10 @@ pub struct ExportArgs {
     /// bag, if it has them and another topic is exported].
     #[arg(long, value_name = "BAG")]
     pub truth: Option<PathBuf>,
-    /// Export only this stream.
+    /// Export only this stream [default: all].
     #[arg(long, value_name = "ID")]
     pub stream: Option<u64>,
-    /// Export only the first N frames of each stream.
+    /// Export only the first N frames of each stream [default: all].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub frames: Option<u32>,
 }

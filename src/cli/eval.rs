@@ -15,24 +15,26 @@ pub const DEFAULT_HORIZON: usize = 100;
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Checkpoints to evaluate side by side, with the gain of each model over the first; those of one network from trainings on
-    /// the same data with different seeds, all or none of them with --from, count as seeds of one model.
+    /// the same data with different seeds, all or none of them with --from, count as seeds of one model
+    /// [default: none; required without --compare].
     #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
-    /// Bags, or directories of bags.
+    /// Bags, or directories of bags [default: none; required without --compare].
     #[arg(long, value_name = "BAG", required_unless_present = "compare", num_args = 1..)]
     pub data: Vec<PathBuf>,
     /// Skip streams with a frame that cannot be used (not finite, outside of the domain, far too fast, of another dt or domain
     /// than the first stream), instead of refusing the data; they are counted and named.
     #[arg(long, conflicts_with = "compare")]
     pub skip_streams: bool,
-    /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file.
+    /// Output directory for report.html, report.json, curves.csv and cost_error.png; with --compare, an HTML file [default: none; required
+    /// without --compare and --list-starts].
     #[arg(long, short, value_name = "DIR", required_unless_present_any = ["compare", "list_starts"])]
     pub output: Option<PathBuf>,
     /// Replace an existing report.
     #[arg(long)]
     pub force: bool,
     /// Also evaluate rollouts that another program has recorded, in a bag or a directory of bags: frames on /prediction and,
-    /// for each, its first frame and horizon on /prediction/status, as a node publishes them.
+    /// for each, its first frame and horizon on /prediction/status, as a node publishes them [default: none].
     #[arg(long, value_name = "NAME=BAG", num_args = 1.., value_parser = recorded)]
     pub predictions: Vec<(String, PathBuf)>,
     /// Print the sequence numbers that rollouts start from as JSON and exit.
@@ -41,7 +43,7 @@ pub struct EvalArgs {
     /// Print all tables of the report, not only the skill.
     #[arg(long)]
     pub tables: bool,
-    /// Compare existing reports (directories, or their report.json) of the same data.
+    /// Compare existing reports (directories, or their report.json) of the same data [default: none].
     #[arg(
         long,
         value_name = "REPORT",
@@ -61,14 +63,14 @@ pub struct EvalArgs {
     /// metadata.yaml of each bag states, otherwise the manifest.json of eddy simulate beside it, otherwise what the checkpoint assumes].
     #[arg(long, value_name = "E")]
     pub stiffness: Option<f32>,
-    /// Reference predictors, started from the same frames; requires manifest.json beside the bags.
+    /// Reference predictors, started from the same frames; requires manifest.json beside the bags [default: none].
     #[arg(long, alias = "rivals", value_name = "NAME", value_enum, value_delimiter = ',')]
     pub references: Vec<ReferenceName>,
     /// Also evaluate each checkpoint on streams joined in the middle: it observes its warm-up, but no earlier frames.
     #[arg(long)]
     pub join_late: bool,
-    /// Evaluate the checkpoints with these rules switched off. Compare the report with one without this option to see the
-    /// effect of the rules.
+    /// Evaluate the checkpoints with these rules switched off; compare the report with one without this option to see the
+    /// effect of the rules [default: none].
     #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', num_args = 1..)]
     pub without_rules: Vec<Rule>,
     /// Number of scenes to evaluate in parallel; inference times are those of one thread [default: one per core].

@@ -18,7 +18,7 @@ pub struct NodeArgs {
     /// Checkpoint of the surrogate [default: the shipped particle model].
     #[arg(long, value_name = "DIR")]
     pub checkpoint: Option<PathBuf>,
-    /// Read settings from a TOML file; command-line options override it.
+    /// Read settings from a TOML file; command-line options override it [default: no file].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Link to observe, on shm, zenoh or dds, for example dds:/particles, or dds:particles in the namespace of --ros-args

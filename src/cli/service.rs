@@ -53,7 +53,7 @@ pub struct ServiceCallArgs {
     /// Wait this long for the service, and then for the response (s).
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0, value_parser = values::positive_seconds)]
     pub timeout: f64,
-    /// Installations of ROS 2 with definitions of service types, separated by colons.
+    /// Installations of ROS 2 with definitions of service types, separated by colons [default: none].
     #[arg(
         long,
         value_name = "PATHS",

@@ -12,14 +12,14 @@ use eddy_transport::{Link, Reliability};
 pub struct SimulateArgs {
     #[command(flatten)]
     pub scenes: SceneArgs,
-    /// Output directory; one bag per scene.
+    /// Output directory; one bag per scene [default: none; required without --publish].
     #[arg(long, short, value_name = "DIR", required_unless_present = "publish")]
     pub output: Option<PathBuf>,
     /// Replace the scenes in the output directory; without it, the same command adds those that are missing.
     #[arg(long, requires = "output")]
     pub force: bool,
     /// Publish frames in real time, for example on zenoh:/particles, shm:/particles or dds:/particles, and the simulated
-    /// time on /clock of the same transport.
+    /// time on /clock of the same transport [default: nowhere].
     #[arg(long, value_name = "LINK", value_parser = Link::from_argument)]
     pub publish: Option<Link>,
     /// Simulated time per real time when publishing.

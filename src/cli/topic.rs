@@ -58,7 +58,7 @@ pub struct TopicEchoArgs {
     /// Maximum number of list items to print; 0 prints all.
     #[arg(long, value_name = "N", default_value_t = 8)]
     pub truncate: usize,
-    /// Installations of ROS 2 with definitions of message types, separated by colons.
+    /// Installations of ROS 2 with definitions of message types, separated by colons [default: none].
     #[arg(
         long,
         value_name = "PATHS",

@@ -380,11 +380,17 @@ pub fn is_a_page_of_its_own(html: &str) {
 /// The commands below `path`, as its help lists them.
 fn listed(path: &[&str]) -> Vec<String> {
     let help = succeed(path.iter().copied().chain(["--help"]));
-    let Some((_, list)) = help.split_once("\nCommands:\n") else { return Vec::new() };
-    let names = list.lines().take_while(|line| line.starts_with("  "));
-    let names = names.filter(|line| !line.starts_with("   "));
-    let names = names.filter_map(|line| line.split_whitespace().next());
-    names.filter(|name| *name != "help").map(str::to_owned).collect()
+    let (list, _) = help.split_once("ptions:\n").unwrap();
+    let of_line = |line: &str| {
+        // The first screen names less used commands in a line.
+        if let Some(names) = line.strip_prefix("More commands: ") {
+            return names.split(", ").map(str::to_owned).collect();
+        }
+        let name = line.strip_prefix("  ").and_then(|line| line.split(' ').next());
+        let name = name.filter(|name| name.starts_with(|first: char| first.is_ascii_lowercase()));
+        Vec::from_iter(name.map(str::to_owned))
+    };
+    list.lines().flat_map(of_line).filter(|name| name != "help").collect()
 }
 
 /// Every command with its words, those that only hold others too.
@@ -401,9 +407,30 @@ pub fn commands() -> BTreeSet<Vec<String>> {
     all
 }
 
-/// Every help lists global options apart, and uses the same names for the same things.
+/// Every option that takes a value is required, or its help says what holds without it.
+fn defaults_are_named(command: &[String]) {
+    let help = succeed(command.iter().map(String::as_str).chain(["--help"]));
+    let usage = help.split_once("Usage: ").unwrap().1.split_once("\n\n").unwrap().0.to_owned();
+    let mut lines = help.lines().peekable();
+    while let Some(line) = lines.next() {
+        let Some((_, option)) = line.split_once("--").filter(|_| line.starts_with(' ')) else {
+            continue;
+        };
+        let is_option = line.trim_start().starts_with('-') && option.contains('<');
+        let is_text = |line: &&str| line.is_empty() || line.starts_with("        ");
+        let text: Vec<_> = std::iter::from_fn(|| lines.next_if(is_text)).collect();
+        let text = format!("{line}{}", text.concat());
+        let name = format!("--{}", option.split(' ').next().unwrap());
+        let required = usage.split_whitespace().any(|word| word == name);
+        let named = text.contains("[default") || text.contains("[without a value");
+        assert!(!is_option || required || named, "{command:?} {name}: found no default in: {text}");
+    }
+}
+
+/// Every help lists global options apart, says what holds without an option, and uses the same names for the same things.
 pub fn helps_list_global_options_apart() {
     for command in commands() {
+        defaults_are_named(&command);
         let words = command.iter().map(String::as_str);
         for option in ["-h", "--help"] {
             let help = succeed(words.clone().chain([option]));

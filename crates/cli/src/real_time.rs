@@ -6,11 +6,11 @@ use clap::Args;
 /// How the operating system treats a process.
 #[derive(Debug, Args)]
 pub struct RealTimeArgs {
-    /// Run on these processors only, for example 2,3 or 4-7.
+    /// Run on these processors only, for example 2,3 or 4-7 [default: all].
     #[arg(long, value_name = "LIST", value_parser = CpuList::parse)]
     pub cpu: Option<CpuList>,
     /// Run all threads with this real-time priority (SCHED_FIFO), 1 to 99: before all ordinary processes. Requires the right
-    /// to do so.
+    /// to do so [default: no real-time priority].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=99))]
     pub priority: Option<u8>,
     /// Keep all memory in RAM: nothing is swapped out. Requires the right to do so.

@@ -42,7 +42,7 @@ pub struct SceneArgs {
     /// Kind of random scenes, or one of the scenes shipped with eddy.
     #[arg(long, value_name = "NAME", value_parser = presets(), default_value = "multi-material")]
     pub preset: String,
-    /// Scene file (TOML); launch_configs/scenes/ has examples.
+    /// Scene file (TOML); launch_configs/scenes/ has examples [default: scenes of --preset].
     #[arg(long, value_name = "FILE", conflicts_with_all = ["preset", "scenes", "seed"])]
     pub scene: Option<PathBuf>,
     /// Number of random scenes.

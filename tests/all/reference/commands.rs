@@ -18,7 +18,21 @@ pub fn page(program: &str, introduction: &str) -> String {
         };
         text.push_str(&format!("\n## {name}\n\n```text\n{}\n```\n", help.trim_end()));
     }
+    for topic in topics() {
+        let help = succeed(["help", &topic]);
+        let help = help.trim_end();
+        text.push_str(&format!("\n## {program} help {topic}\n\n```text\n{help}\n```\n"));
+    }
     text
+}
+
+/// What the first screen says that help explains beside commands.
+fn topics() -> Vec<String> {
+    let help = succeed(["--help"]);
+    let topics = help.split_once("`eddy help TOPIC` one of ").map(|(_, topics)| topics);
+    let topics = topics.and_then(|topics| topics.lines().next()).unwrap_or_default();
+    let topics = topics.trim_end_matches('.').split(", ").map(str::to_owned);
+    topics.filter(|topic| !topic.is_empty()).collect()
 }
 
 /// Help without the section below a heading.

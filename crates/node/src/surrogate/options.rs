@@ -91,11 +91,14 @@ fn argument(spec: &ParameterSpec, option: &'static str) -> Arg {
             .value_parser(value_parser!(i64))
             .value_name("N")
             .help(format!("{} [default: {}]", spec.help, default.integer_value)),
-        Values::Number { .. } => argument
-            .value_parser(value_parser!(f64))
-            .value_name("X")
-            .help(format!("{} [default: {}]", spec.help, default.double_value)),
-        Values::Name => argument.value_name("NAME").help(spec.help),
+        Values::Number { unit, .. } => {
+            let unit = unit.trim_matches(['(', ')']);
+            argument
+                .value_parser(value_parser!(f64))
+                .value_name("X")
+                .help(format!("{} ({unit}) [default: {}]", spec.help, default.double_value))
+        }
+        Values::Name => argument.value_name("NAME").help(format!("{} [default: none]", spec.help)),
         Values::Word(words) => {
             let words = words.iter().map(|(word, help)| PossibleValue::new(*word).help(*help));
             argument
