@@ -52,11 +52,15 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     Ok(())
 }
 
-/// Prints the first table, or all of them, and where the report is.
+/// Prints the first table, or all of them, what they say of each model, and where the report is.
 pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
     let columns = terminal::columns();
     let tables = if all { report.tables(columns) } else { report.first_table(columns) };
     print!("{tables}");
+    for (name, sentences) in report.verdicts() {
+        println!("{name}");
+        sentences.iter().for_each(|sentence| println!("    {sentence}"));
+    }
     println!("report: {}", folder.join("report.html").display());
 }
 

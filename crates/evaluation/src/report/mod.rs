@@ -18,6 +18,7 @@ mod page;
 mod read;
 mod scenes;
 mod tables;
+mod verdict;
 
 use serde::{Deserialize, Serialize};
 
@@ -102,7 +103,7 @@ pub struct Report {
 pub struct KindCount {
     /// Kind of scene.
     pub kind: Kind,
-    /// EvaluationResults streams.
+    /// Evaluated streams.
     pub streams: usize,
     /// Free rollouts of each predictor.
     pub windows: usize,

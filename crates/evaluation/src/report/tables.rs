@@ -67,7 +67,7 @@ impl Report {
 }
 
 /// A skill for a table. Where a baseline is exact, as the ballistic one in free fall, others are worse by millions.
-fn rounded(skill: f64) -> String {
+pub(super) fn rounded(skill: f64) -> String {
     match skill {
         _ if skill.is_nan() => "-".to_owned(),
         _ if skill < -99.0 => "< -99".to_owned(),

@@ -47,6 +47,10 @@ impl Report {
             rounded(1e3 * f64::from(self.dt)),
         );
         let mut page = Page::new(self.title(), lead);
+        let verdict = page.section("Verdict");
+        for (name, sentences) in self.verdicts() {
+            verdict.paragraph(&format!("{name}: {}", sentences.join(" ")));
+        }
         self.summary(page.section("Summary"));
         self.paper(page.section("Scene by scene: the paper's Tables 2 and 3"));
         self.error_curves(page.section("Errors over the frames ahead"));

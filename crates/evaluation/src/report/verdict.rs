@@ -1,0 +1,86 @@
+//! What a report says of each model, in sentences.
+
+use super::{Entry, Report, Role, page::at, tables::rounded};
+use eddy_frames::counted;
+
+impl Report {
+    /// A model and sentences on it: where it is better than trivial, its weakest kind of scenes, blow-ups, cost.
+    pub fn verdicts(&self) -> impl Iterator<Item = (&str, Vec<String>)> {
+        let judged =
+            |entry: &&Entry| matches!(entry.role, Role::Model | Role::JoinedLate | Role::Recorded);
+        self.predictors.iter().filter(judged).map(|entry| (&*entry.name, self.verdict(entry)))
+    }
+
+    fn verdict(&self, entry: &Entry) -> Vec<String> {
+        let last = entry.skill.len();
+        let mut frames = vec![1, 20, last];
+        frames.retain(|&frame| frame <= last);
+        frames.dedup();
+        let skills = frames
+            .iter()
+            .map(|&frame| format!("{} at frame {frame}", rounded(at(&entry.skill, frame))));
+        let skills: Vec<_> = skills.collect();
+        let mut sentences = vec![format!(
+            "Better than the best trivial predictor {}: skill {}.",
+            better(&entry.skill),
+            skills.join(", ")
+        )];
+        let weakest = entry.kinds.iter().map(|kind| (kind.kind, at(&kind.skill, last)));
+        let weakest = weakest.min_by(|(_, a), (_, b)| a.total_cmp(b));
+        if let Some((kind, skill)) = weakest.filter(|_| entry.kinds.len() > 1) {
+            let skill = rounded(skill);
+            sentences
+                .push(format!("Weakest in scenes of {}: {skill} at frame {last}.", kind.name()));
+        }
+        let all = counted(self.windows as u64, "rollout");
+        sentences.push(match entry.blow_ups.any {
+            0 => format!("None of {all} blows up."),
+            count => format!("{count} of {all} blow up."),
+        });
+        if let Some(cost) = &entry.cost {
+            sentences.push(format!(
+                "A frame of {:.3} ms takes {:.2} ms on one thread.",
+                1e3 * self.dt,
+                cost.p50
+            ));
+        }
+        if entry.skill_intervals.is_none() {
+            sentences
+                .push("Too few scenes for an interval: other scenes may differ much.".to_owned());
+        }
+        sentences
+    }
+}
+
+/// At which frames ahead a skill is above 0.
+fn better(skill: &[f64]) -> String {
+    let above = |skill: &&f64| **skill > 0.0;
+    let (count, all) = (skill.iter().filter(above).count(), skill.len());
+    let first = skill.iter().take_while(above).count();
+    let last = skill.iter().rev().take_while(above).count();
+    match count {
+        0 => "at no frame".to_owned(),
+        _ if count == all => "at every frame".to_owned(),
+        _ if count == first => format!("up to frame {first}"),
+        _ if count == last => format!("from frame {} on", all - last + 1),
+        _ => format!("at {count} of {all} frames"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::better;
+
+    #[test]
+    fn a_verdict_says_at_which_frames_a_model_is_better() {
+        for (skill, expected) in [
+            (&[0.5, 0.1][..], "at every frame"),
+            (&[-0.5, 0.0], "at no frame"),
+            (&[0.5, 0.5, -0.1], "up to frame 2"),
+            (&[-0.5, f64::NAN, 0.1, 0.2], "from frame 3 on"),
+            (&[0.5, -0.5, 0.1], "at 2 of 3 frames"),
+        ] {
+            assert_eq!(better(skill), expected);
+        }
+    }
+}
