@@ -28,6 +28,7 @@ from ._eddy import (
     TrainError,
     __version__,
     evaluate,
+    evaluation_starts,
     skill,
     train,
 )
@@ -60,6 +61,7 @@ __all__ = [
     "TrainError",
     "__version__",
     "evaluate",
+    "evaluation_starts",
     "skill",
     "train",
 ]

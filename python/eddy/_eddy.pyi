@@ -1,5 +1,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Protocol, TypedDict, final
 
@@ -28,6 +29,7 @@ __all__ = [
     "TrainError",
     "__version__",
     "evaluate",
+    "evaluation_starts",
     "skill",
     "train",
 ]
@@ -239,6 +241,9 @@ class BagWriter:
     def write_frame(
         self, frame: Frame, topic: str = "/particles", *, log_time: int | None = None
     ) -> None: ...
+    def write_prediction(
+        self, frame: Frame, source_sequence: int, topic: str = "/prediction", *, model: str = ""
+    ) -> None: ...
     def write(
         self,
         topic: str,
@@ -261,6 +266,11 @@ class Report:
     def to_dict(self) -> dict[str, Any]: ...
     def tables(self) -> str: ...
     def save(self, folder: _Path) -> None: ...
+
+class _Starts(TypedDict):
+    bag: Path
+    stream: int
+    sequences: list[int]
 
 class _Epoch(TypedDict):
     epoch: int
@@ -285,6 +295,7 @@ def evaluate(
     data: _Paths,
     checkpoints: _Paths | None = None,
     *,
+    predictions: Mapping[str, _Path] = ...,
     horizon: int = 100,
     starts: int = 7,
     stiffness: float | None = None,
@@ -292,6 +303,14 @@ def evaluate(
     threads: int | None = None,
     skip_streams: bool = False,
 ) -> Report: ...
+def evaluation_starts(
+    data: _Paths,
+    checkpoints: _Paths | None = None,
+    *,
+    horizon: int = 100,
+    starts: int = 7,
+    skip_streams: bool = False,
+) -> list[_Starts]: ...
 def skill(
     starts: Sequence[Frame],
     truth: _Array,

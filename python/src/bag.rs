@@ -7,7 +7,10 @@ use eddy_bag::{
     custom_data::{CustomData, check_entry},
 };
 use eddy_frames::{AnyFrame, Stamp, clock, with_frame};
-use eddy_messages::{FrameCdr, Message as _, ParticleFrame, QosProfile, TypeSupport};
+use eddy_messages::{
+    FrameCdr, Header, Message as _, ParticleFrame, PredictionStatus, QosProfile, StreamState,
+    TypeSupport, cdr,
+};
 use pyo3::{
     exceptions::PyValueError,
     prelude::*,
@@ -369,6 +372,47 @@ impl BagWriter {
                 None => writer.write_stamped(topic, stamp, &frame.to_cdr()),
                 Some(time) => writer.write(topic, Stamp(time), Stamp(time), &frame.to_cdr()),
             }
+        })
+    }
+
+    /// Appends a predicted frame, and on `topic`/status from which frame it was predicted, as a node publishes both: what
+    /// `evaluate(predictions=)` and `eddy eval --predictions` read. `source_sequence` is the number of the last observed frame;
+    /// that of the prediction is larger. `model` names the predictor.
+    #[pyo3(signature = (frame, source_sequence, topic="/prediction", *, model=""))]
+    fn write_prediction(
+        &self,
+        py: Python<'_>,
+        frame: &Bound<'_, Frame>,
+        source_sequence: u64,
+        topic: &str,
+        model: &str,
+    ) -> PyResult<()> {
+        let frame = &frame.get().inner;
+        let (stream, sequence, stamp) =
+            with_frame!(frame, frame => (frame.stream, frame.sequence, frame.stamp));
+        let ahead = sequence.checked_sub(source_sequence).filter(|ahead| *ahead > 0);
+        let Some(horizon) = ahead.and_then(|ahead| u32::try_from(ahead).ok()) else {
+            return Err(wrong(
+                "source_sequence",
+                source_sequence,
+                format!("below {sequence}, that of the frame"),
+            ));
+        };
+        let status = PredictionStatus {
+            header: Header::world(stamp),
+            stream,
+            source_sequence,
+            horizon,
+            state: StreamState::FreeRunning as u8,
+            latency: 0.0,
+            model: model.to_owned(),
+        };
+        let status = cdr::encode(&status);
+        self.with(py, |writer| {
+            let frames = writer.topic(topic, ParticleFrame::TYPE)?;
+            let statuses = writer.topic(&format!("{topic}/status"), PredictionStatus::TYPE)?;
+            writer.write_stamped(frames, stamp, &frame.to_cdr())?;
+            writer.write_stamped(statuses, stamp, &status)
         })
     }
 

@@ -1,11 +1,14 @@
-//! `evaluate` and `skill`: predictions beside the truth and the best trivial predictor.
+//! `evaluate`, `evaluation_starts` and `skill`: predictions beside the truth and the best trivial predictor.
 
-use std::{num::NonZeroUsize, path::PathBuf, sync::Mutex};
+use std::{collections::BTreeMap, num::NonZeroUsize, path::PathBuf, sync::Mutex};
 
 use eddy_dataset::{LoadOptions, available_memory, load_trajectories};
-use eddy_evaluation::{Evaluation, EvaluationRequest, Reference, Settings, position_skill};
+use eddy_evaluation::{
+    Evaluation, EvaluationRequest, Recorded, Reference, Settings, position_skill,
+};
 use eddy_inference::checkpoint::Checkpoint;
-use pyo3::prelude::*;
+use eddy_messages::UnusableFrame;
+use pyo3::{prelude::*, types::PyDict};
 
 use crate::{
     arrays::{Argument, array, wrong},
@@ -49,18 +52,84 @@ impl Report {
     }
 }
 
+/// What is evaluated, as Python gives it.
+struct Request {
+    data: Vec<PathBuf>,
+    checkpoints: Vec<PathBuf>,
+    /// Names and bags of recorded rollouts.
+    predictions: BTreeMap<String, PathBuf>,
+    settings: Settings,
+    references: Vec<Reference>,
+    stiffness: Option<f32>,
+    threads: Option<NonZeroUsize>,
+    skip_streams: bool,
+}
+
+impl Request {
+    /// Loads what it names, and begins. Streams that were skipped are added to `skipped`.
+    fn begin(
+        self,
+        watch: &interrupt::Watch<()>,
+        skipped: &Mutex<Vec<UnusableFrame>>,
+    ) -> Result<Evaluation, String> {
+        let load = |path: &PathBuf| {
+            let checkpoint = Checkpoint::load(path).map_err(|error| error.to_string())?;
+            Ok::<_, String>((path.display().to_string(), checkpoint))
+        };
+        let mut checkpoints = self.checkpoints.iter().map(load).collect::<Result<Vec<_>, _>>()?;
+        if checkpoints.is_empty() {
+            let shipped = Checkpoint::shipped().map_err(|error| error.to_string())?;
+            checkpoints.push(("shipped".to_owned(), shipped));
+        }
+        let open = |(name, path): (String, PathBuf)| Recorded::open(name, &path);
+        let recorded = self.predictions.into_iter().map(open).collect::<Result<_, _>>();
+        let recorded = recorded.map_err(|error| error.to_string())?;
+        let skip_streams = self.skip_streams;
+        let options = LoadOptions { memory: available_memory() / 2, skip_streams };
+        let loaded = load_trajectories(&self.data, options, &mut |_, _| ());
+        let loaded = loaded.map_err(|error| values::refused(&error, skip_streams))?;
+        *lock(skipped) = loaded.skipped;
+        let request = EvaluationRequest {
+            checkpoints,
+            recorded,
+            streams: loaded.streams,
+            stiffness: self.stiffness,
+            settings: self.settings,
+            references: self.references,
+            join_late: false,
+            threads: self.threads,
+        };
+        Evaluation::new(request, watch).map_err(|error| error.to_string())
+    }
+
+    /// Begins, and does something with the evaluation. Streams that were skipped are warned of.
+    fn run<T: Send>(
+        self,
+        py: Python<'_>,
+        then: impl FnOnce(Evaluation, &interrupt::Watch<()>) -> Result<T, String> + Send,
+    ) -> PyResult<T> {
+        let skipped = Mutex::new(Vec::<UnusableFrame>::new());
+        let work = |watch: &interrupt::Watch<()>| then(self.begin(watch, &skipped)?, watch);
+        let outcome = interrupt::run(py, |_, ()| Ok(()), work)?;
+        values::warn_of_skipped(py, lock(&skipped).as_slice())?;
+        outcome.map_err(raise::<EvaluationError>)
+    }
+}
+
 /// Evaluates checkpoints on the bags at `data` by free rollouts over `horizon` frames from `starts` frames of each stream.
-/// Streams that a checkpoint was trained on are left out. `references` may hold `mpm` (the solver restarted from the same frames) and
+/// Streams that a checkpoint was trained on are left out. `predictions` are bags with rollouts of other predictors by name, as
+/// `BagWriter.write_prediction` writes them from the frames that `evaluation_starts` names. `references` may hold `mpm` (the solver restarted from the same frames) and
 /// `chaos` (from slightly displaced ones). `stiffness` is that of all streams (Young's modulus, density x velocity^2), for checkpoints
 /// that are conditioned on it; by default what the metadata.yaml of each bag states (`eddy_stiffness` of `custom_data`), otherwise the manifest.json beside it, otherwise what the checkpoint assumes. Without checkpoints, the particle model of the package is evaluated. `skip_streams` leaves out streams
 /// with a frame that cannot be used, each with a warning, instead of raising.
 #[pyfunction]
-#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None, skip_streams=false))]
+#[pyo3(signature = (data, checkpoints=None, *, predictions=BTreeMap::new(), horizon=100, starts=7, stiffness=None, references=Vec::new(), threads=None, skip_streams=false))]
 #[expect(clippy::too_many_arguments, reason = "the options of an evaluation")]
 pub(crate) fn evaluate(
     py: Python<'_>,
     data: Paths,
     checkpoints: Option<Paths>,
+    predictions: BTreeMap<String, PathBuf>,
     horizon: usize,
     starts: usize,
     stiffness: Option<f32>,
@@ -79,40 +148,56 @@ pub(crate) fn evaluate(
         "chaos" => Ok(Reference::Chaos),
         other => Err(wrong("references", other, "mpm or chaos")),
     };
-    let references = references.iter().map(reference).collect::<PyResult<Vec<_>>>()?;
-    let checkpoints: Vec<PathBuf> = checkpoints.map(Paths::into).unwrap_or_default();
-    let data: Vec<PathBuf> = data.into();
-    let skipped = Mutex::new(Vec::new());
-    let work = |watch: &interrupt::Watch<()>| -> Result<eddy_evaluation::Report, String> {
-        let load = |path: &PathBuf| {
-            let checkpoint = Checkpoint::load(path).map_err(|error| error.to_string())?;
-            Ok::<_, String>((path.display().to_string(), checkpoint))
-        };
-        let mut models = checkpoints.iter().map(load).collect::<Result<Vec<_>, _>>()?;
-        if models.is_empty() {
-            let shipped = Checkpoint::shipped().map_err(|error| error.to_string())?;
-            models.push(("shipped".to_owned(), shipped));
-        }
-        let options = LoadOptions { memory: available_memory() / 2, skip_streams };
-        let loaded = load_trajectories(&data, options, &mut |_, _| ());
-        let loaded = loaded.map_err(|error| values::refused(&error, skip_streams))?;
-        *lock(&skipped) = loaded.skipped;
-        let request = EvaluationRequest {
-            checkpoints: models,
-            recorded: Vec::new(),
-            streams: loaded.streams,
-            stiffness,
-            settings: Settings::full(horizon, starts),
-            references,
-            join_late: false,
-            threads,
-        };
-        let evaluation = Evaluation::new(request, watch).map_err(|error| error.to_string())?;
-        evaluation.run(watch).map_err(|error| error.to_string())
+    let request = Request {
+        data: data.into(),
+        checkpoints: checkpoints.map(Paths::into).unwrap_or_default(),
+        predictions,
+        settings: Settings::full(horizon, starts),
+        references: references.iter().map(reference).collect::<PyResult<_>>()?,
+        stiffness,
+        threads,
+        skip_streams,
     };
-    let outcome = interrupt::run(py, |_, ()| Ok(()), work)?;
-    values::warn_of_skipped(py, &lock(&skipped))?;
-    Ok(Report { inner: outcome.map_err(raise::<EvaluationError>)? })
+    let report = request
+        .run(py, |evaluation, watch| evaluation.run(watch).map_err(|error| error.to_string()))?;
+    Ok(Report { inner: report })
+}
+
+/// The frames that the rollouts of `evaluate` with the same arguments begin after: for each stream a dictionary with its `bag`, its
+/// number `stream` and the `sequences` of the last observed frames. Another predictor is judged on rollouts from these.
+#[pyfunction]
+#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, skip_streams=false))]
+pub(crate) fn evaluation_starts<'py>(
+    py: Python<'py>,
+    data: Paths,
+    checkpoints: Option<Paths>,
+    horizon: usize,
+    starts: usize,
+    skip_streams: bool,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let request = Request {
+        data: data.into(),
+        checkpoints: checkpoints.map(Paths::into).unwrap_or_default(),
+        predictions: BTreeMap::new(),
+        settings: Settings::full(horizon, starts),
+        references: Vec::new(),
+        stiffness: None,
+        threads: None,
+        skip_streams,
+    };
+    let streams = request.run(py, |evaluation, _| {
+        let starts = evaluation.starts();
+        Ok(starts.map(|(bag, stream, sequences)| (bag.to_owned(), stream, sequences)).collect())
+    })?;
+    let streams: Vec<(PathBuf, u64, Vec<u64>)> = streams;
+    let entry = |(bag, stream, sequences): (PathBuf, u64, Vec<u64>)| {
+        let entry = PyDict::new(py);
+        entry.set_item("bag", bag)?;
+        entry.set_item("stream", stream)?;
+        entry.set_item("sequences", sequences)?;
+        Ok(entry)
+    };
+    streams.into_iter().map(entry).collect()
 }
 
 /// Skill of predictions from any source, float64 [T]: 1 - e / e0 for each frame ahead, where e is the squared position error over all

@@ -50,7 +50,7 @@ mod _eddy {
             BagError, CheckpointError, EddyError, EvaluationError, NodeError, SimulationError,
             TrainError,
         },
-        evaluate::{Report, evaluate, skill},
+        evaluate::{Report, evaluate, evaluation_starts, skill},
         frame::Frame,
         node::Node,
         scene::Scene,

@@ -1,7 +1,10 @@
 """The example of the README and the notebook do what they say, and everything public is documented."""
 
 import inspect
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import eddy
@@ -17,6 +20,32 @@ def test_the_readme_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(blocks) == 1
     exec(compile(blocks[0], "README.md", "exec"), {})
     assert "[" in capsys.readouterr().out
+
+
+#: Settings that make a training short.
+QUICK = "windows.per_epoch = 16\nwindows.batch = 8\nvalidation.starts = 1\nunroll = [{ share = 1.0, frames = 2 }]\n"
+
+
+def test_the_page_on_one_s_own_simulation_is_followed(tmp_path: Path) -> None:
+    page = (ROOT.parent / "docs" / "src" / "own_simulation.md").read_text()
+    here = re.escape('skip="python/tests/test_documents.py runs it"')
+    blocks = re.findall(rf"^```(python (\S+)|sh {here})\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    programs = Path(sys.executable).parent
+    environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}"}
+    (tmp_path / "quick.toml").write_text(QUICK)
+    ran = 0
+    for _, file, text in blocks:
+        if file:
+            (tmp_path / file).write_text(text)
+            continue
+        for line in text.strip().splitlines():
+            short = line.replace("eddy train", "eddy train --config quick.toml")
+            subprocess.run(short, shell=True, check=True, cwd=tmp_path, env=environment, timeout=300)
+            ran += 1
+    assert ran == 6, blocks
+    for bag in ("beads", "unseen", "imported"):
+        assert subprocess.run([programs / "eddy", "bag", "info", next((tmp_path / "bags" / bag).iterdir())]).returncode == 0
+    assert (tmp_path / "reports" / "beads" / "report.html").exists()
 
 
 def test_the_notebook_runs() -> None:

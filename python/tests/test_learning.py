@@ -99,6 +99,34 @@ def test_skill_of_any_rollouts_is_that_of_eddy_eval(bags: Path) -> None:
         eddy.skill(first, truth[:, :0], still[:, :0])
 
 
+def test_rollouts_of_another_predictor_are_judged_beside_a_model(tmp_path: Path, bags: Path) -> None:
+    """Those of persistence have the skill of the baseline of that name, the truth itself has 1."""
+    horizon, starts = 5, eddy.evaluation_starts(bags, horizon=5, starts=2)
+    assert all(len(entry["sequences"]) == 2 for entry in starts)
+    for name in ("still", "true"):
+        with eddy.BagWriter(tmp_path / name) as writer:
+            for entry in starts:
+                frames = {frame.sequence: frame for frame in eddy.Bag(entry["bag"]).frames()}
+                for source in entry["sequences"]:
+                    for ahead in range(1, horizon + 1):
+                        shown, now = frames[source + ahead if name == "true" else source], frames[source + ahead]
+                        predicted = eddy.Frame(
+                            shown.position, shown.velocity, shown.material, stream=now.stream, sequence=now.sequence,
+                            time=now.time, dt=now.dt,
+                        )  # fmt: skip
+                        writer.write_prediction(predicted, source, model=name)
+    given = {name: tmp_path / name for name in ("still", "true")}
+    report = eddy.evaluate(bags, predictions=given, horizon=horizon, starts=2).to_dict()
+    skill = {entry["name"]: entry["skill"] for entry in report["predictors"]}
+    assert skill["true"] == [1.0] * horizon
+    assert skill["still"] == skill["persistence"]
+
+    with eddy.BagWriter(tmp_path / "wrong") as writer, pytest.raises(ValueError, match="source_sequence: found 3, expected below 3"):
+        writer.write_prediction(eddy.Frame(shown.position, shown.velocity, "jelly", sequence=3), 3)
+    with pytest.raises(eddy.EvaluationError, match="still: .*found 5 frames predicted from sequence"):
+        eddy.evaluate(bags, predictions={"still": tmp_path / "still"}, horizon=6, starts=2)
+
+
 def test_an_exception_of_the_callback_ends_the_run(tmp_path: Path, bags: Path) -> None:
     def stop(epoch: object) -> None:
         raise RuntimeError("enough")
