@@ -184,7 +184,7 @@ fn a_flood_is_counted_and_the_rest_goes_on(transport: &str) {
         });
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             scene.reports(|values, message| {
-                let lost = ["dropped_from_queue", "lost_in_transport", "missing", "late"];
+                let lost = ["lost_in_queue", "lost_in_transport", "lost_in_gaps", "late"];
                 let lost: u64 = lost.iter().map(|key| count(values, key)).sum();
                 lost > 10 && message != "predicting"
             });

@@ -181,12 +181,13 @@ pub fn diagnostics() -> String {
     let mut text = format!(
         "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
          ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, or if \
-         the error of a prediction is expected to exceed `max_expected_error`, and OK otherwise.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
+         the error of a prediction is expected to exceed `max_expected_error`, and OK otherwise.\n\n\
+         A frame without a prediction is *rejected* if it cannot be used, *lost* if the network never saw it (in a gap of the stream, in the node's queue, in transport), or *of other members* of a group.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
          | `rate (1/s)` | number | Predictions per second since the last message. |\n\
          | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\
          | `latency p99 (ms)` | number | 99th percentile of the same time. |\n\
          | `model` | text | Digest of the checkpoint. |\n{}\
-         | `dropped_from_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n\
+         | `lost_in_queue, by stream` | text | {} Present only if there are any; at most the eight streams with the most losses. |\n\
          | `largest expected error (domain lengths)` | number | Largest [expected position error](../how-to/error_estimates.md) of the predictions since the last message. Present \
          only with a calibrated checkpoint and predictions no further ahead than it was calibrated for. |\n\
          | `expected error (domain lengths) at frames ahead, by stream` | text | For at most the eight streams with the largest expected errors: that error, its number of frames ahead, its bound at 90 %, \

@@ -55,14 +55,14 @@ pub struct Counters {
     /// Missing frames that were replaced by a prediction.
     pub filled: u64,
     /// Missing frames in gaps that were too long to fill.
-    pub missing: u64,
+    pub lost_in_gaps: u64,
     /// Streams that were reset and warm up again.
     pub resets: u64,
-    /// Streams that were evicted in favour of others.
-    pub evicted_streams: u64,
+    /// Streams that were forgotten to make room for others; they warm up again when they return.
+    pub forgotten_streams: u64,
     /// Frames that were dropped because the node was too slow.
-    pub dropped_from_queue: u64,
-    /// `dropped_from_queue` by stream, for the first 1,024 streams that lost any.
+    pub lost_in_queue: u64,
+    /// `lost_in_queue` by stream, for the first 1,024 streams that lost any.
     pub dropped_by_stream: BTreeMap<u64, u64>,
     /// Messages that the transport dropped before they reached the node.
     pub lost_in_transport: u64,
@@ -71,7 +71,7 @@ pub struct Counters {
     /// Predictions that could not be sent on an output, or not to all of its subscribers.
     pub unpublished: u64,
     /// Frames of streams that another member of the group owns.
-    pub foreign: u64,
+    pub of_other_members: u64,
     /// Predictions that were not published because another member of the group may own their stream.
     pub withheld: u64,
     /// Streams that moved to another member of the group.
@@ -123,14 +123,14 @@ impl Counters {
             ("ignored_in_free_run", self.ignored_in_free_run),
             ("skipped_in_free_run", self.skipped_in_free_run),
             ("filled", self.filled),
-            ("missing", self.missing),
+            ("lost_in_gaps", self.lost_in_gaps),
             ("resets", self.resets),
-            ("evicted_streams", self.evicted_streams),
-            ("dropped_from_queue", self.dropped_from_queue),
+            ("forgotten_streams", self.forgotten_streams),
+            ("lost_in_queue", self.lost_in_queue),
             ("lost_in_transport", self.lost_in_transport),
             ("diverged", self.diverged),
             ("unpublished", self.unpublished),
-            ("foreign", self.foreign),
+            ("of_other_members", self.of_other_members),
             ("withheld", self.withheld),
             ("handed_over", self.handed_over),
         ]
@@ -151,14 +151,14 @@ impl Counters {
     /// leaves a gap in its stream, so this is the larger of the two counts. Duplicates, frames that arrived too late for
     /// their gap, and unpublished predictions are not included.
     pub fn frames_lost(&self) -> u64 {
-        let gaps = self.filled.saturating_add(self.missing);
-        gaps.max(self.dropped_from_queue.saturating_add(self.lost_in_transport))
+        let gaps = self.filled.saturating_add(self.lost_in_gaps);
+        gaps.max(self.lost_in_queue.saturating_add(self.lost_in_transport))
     }
 
     /// Grows whenever a frame is missing or late, or a prediction could not be sent. One loss may count twice: where it
     /// was dropped, and as the gap that it left.
     pub fn lost(&self) -> u64 {
-        [self.late, self.missing, self.filled, self.dropped_from_queue, self.lost_in_transport]
+        [self.late, self.lost_in_gaps, self.filled, self.lost_in_queue, self.lost_in_transport]
             .into_iter()
             .fold(self.unpublished, u64::saturating_add)
     }
@@ -170,11 +170,11 @@ mod tests {
 
     #[test]
     fn a_frame_that_was_dropped_and_left_a_gap_is_lost_once() {
-        let dropped = Counters { dropped_from_queue: 3, ..Counters::default() };
+        let dropped = Counters { lost_in_queue: 3, ..Counters::default() };
         assert_eq!(dropped.frames_lost(), 3, "before the next frame of its stream");
-        let gap = Counters { filled: 1, missing: 2, ..dropped };
+        let gap = Counters { filled: 1, lost_in_gaps: 2, ..dropped };
         assert_eq!(gap.frames_lost(), 3);
-        let elsewhere = Counters { missing: 9, ..gap };
+        let elsewhere = Counters { lost_in_gaps: 9, ..gap };
         assert_eq!(elsewhere.frames_lost(), 10, "lost before this node");
         let late = Counters { late: 5, unpublished: 5, ..elsewhere };
         assert_eq!(late.frames_lost(), 10);

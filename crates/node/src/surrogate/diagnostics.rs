@@ -211,7 +211,7 @@ fn losses(counters: &Counters) -> Option<KeyValue> {
     losses.sort_by_key(|&(_, lost)| std::cmp::Reverse(lost));
     let named = losses.iter().take(NAMED).map(|(stream, lost)| format!("{stream}: {lost}"));
     let named = named.collect::<Vec<_>>().join(", ");
-    (!losses.is_empty()).then(|| value("dropped_from_queue, by stream", named))
+    (!losses.is_empty()).then(|| value("lost_in_queue, by stream", named))
 }
 
 /// Members and streams of the group.
@@ -262,7 +262,7 @@ mod tests {
             ..Counters::default()
         };
         let named = report(&mut Monitor::start(Duration::ZERO), 1, &counters).values.pop().unwrap();
-        assert_eq!(named.key, "dropped_from_queue, by stream");
+        assert_eq!(named.key, "lost_in_queue, by stream");
         assert_eq!(named.value, "19: 19, 18: 18, 17: 17, 16: 16, 15: 15, 14: 14, 13: 13, 12: 12");
     }
 

@@ -422,7 +422,7 @@ impl SurrogateNode {
                     Some(gap)
                 }
                 Order::Next { gap } => {
-                    counters.missing = counters.missing.saturating_add(gap);
+                    counters.lost_in_gaps = counters.lost_in_gaps.saturating_add(gap);
                     counters.resets += 1;
                     // The particles are the same: the rest shape of solids stays valid.
                     state.memory.forget();
@@ -551,7 +551,7 @@ impl SurrogateNode {
             let oldest = self.streams.iter().min_by_key(|(_, stream)| stream.used);
             if let Some(stream) = oldest.map(|(&id, _)| id) {
                 self.streams.remove(&stream);
-                self.counters.evicted_streams += 1;
+                self.counters.forgotten_streams += 1;
             }
         }
     }

@@ -210,13 +210,13 @@ impl<'a> Running<'a> {
         counters.published = sink.published;
         counters.unpublished = sink.unpublished;
         counters.withheld = sink.withheld;
-        counters.foreign = sink.group.map_or(0, GroupMember::foreign_frames);
+        counters.of_other_members = sink.group.map_or(0, GroupMember::foreign_frames);
         counters.group = sink.group.map(|group| group.counts(streams));
-        counters.dropped_from_queue = queue.dropped();
+        counters.lost_in_queue = queue.dropped();
         counters.dropped_by_stream = queue.dropped_by_stream();
         counters.lost_in_transport = self.lost.load(Ordering::Relaxed);
         let (now, last) = (sink.clock.now(), self.load);
-        let (received, dropped) = (counters.received, counters.dropped_from_queue);
+        let (received, dropped) = (counters.received, counters.lost_in_queue);
         self.load = Load {
             received,
             dropped,

@@ -105,7 +105,7 @@ node_settings! {
     max_gap: u64 = 3, whole(0..=1_000, "frames"), CHANGEABLE,
         "Longest gap in a stream that the model fills with its own predictions; a longer one resets the stream";
     max_streams: usize = 64, whole(1..=65_536, "streams"), CHANGEABLE,
-        "Streams to keep at the same time; the least recently used one is evicted";
+        "Streams to keep at the same time; the least recently used one is forgotten";
     max_expected_error: Option<f64> = None, Values::Number { range: 0.0..=1e6, unit: "domain lengths" }, CHANGEABLE,
         "Report WARN on /diagnostics if the position error of a prediction is expected to be larger; 0 never does; the checkpoint must be calibrated (eddy calibrate)";
     stiffness: Option<f64> = None, Values::Number { range: 0.0..=1e9, unit: "(density x velocity^2)" }, READ_ONLY,

@@ -295,7 +295,7 @@ fn a_long_gap_resets_the_stream() {
     feed_all(&mut node, (0..5).map(|s| frame(1, s)));
     let found = feed_all(&mut node, (9..12).map(|s| frame(1, s)));
     assert_eq!(found, [directly((9..12).map(|s| frame(1, s))).2]);
-    assert_eq!((node.counters().missing, node.counters().resets), (4, 1));
+    assert_eq!((node.counters().lost_in_gaps, node.counters().resets), (4, 1));
 }
 
 #[test]
@@ -393,7 +393,7 @@ fn the_least_recently_used_stream_is_evicted() {
     for (sequence, stream) in [(0, 1), (1, 2), (1, 1), (3, 3)] {
         feed(&mut node, frame(stream, sequence));
     }
-    assert_eq!((node.streams(), node.counters().evicted_streams), (2, 1));
+    assert_eq!((node.streams(), node.counters().forgotten_streams), (2, 1));
     // Stream 1 was used after stream 2: it is still there, and its third frame ends its warm-up.
     assert_eq!(feed(&mut node, frame(1, 2)).len(), 1);
 }

@@ -51,8 +51,8 @@ fn fewer_streams_and_shorter_gaps_can_be_set_while_streams_run() {
     node.set(&[of("max_streams", ParameterValue::integer(1))]).unwrap();
     node.set(&[of("max_gap", ParameterValue::integer(0))]).unwrap();
     feed(&mut node, frame(2, 4));
-    assert_eq!((node.streams(), node.counters().evicted_streams), (1, 1));
-    assert_eq!((node.counters().filled, node.counters().missing), (0, 1));
+    assert_eq!((node.streams(), node.counters().forgotten_streams), (1, 1));
+    assert_eq!((node.counters().filled, node.counters().lost_in_gaps), (0, 1));
 }
 
 #[test]
