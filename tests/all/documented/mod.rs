@@ -1,5 +1,5 @@
-//! Runs every command in `README.md`, in the book and at the end of `--help` as written, except for the changes in
-//! [`tables::CHEAPER`]. Each page runs from top to bottom in its own folder, which starts like a clone of the repository.
+//! Runs every command in `README.md`, in the book and at the end of `--help` as written, except for options that make
+//! them [`short`]. Each page runs from top to bottom in its own folder, which starts like a clone of the repository.
 //!
 //! The opening fence of a block:
 //! - `sh`: commands, one after the other; one that would run forever is interrupted (SIGINT) after its first output.
@@ -11,16 +11,17 @@
 //! The tests of `eddy-lab` follow the pages that use it ([`OF_THE_LAB`]).
 
 mod follow;
+mod lab_pages;
 mod page;
-mod tables;
+mod short;
 mod world;
 
 use std::{collections::BTreeSet, fs};
 
 use follow::follow;
 pub use follow::{CARD, documents, root, spans};
+use lab_pages::{CLUSTER, CORES, MANY_ROBOTS, NUMBERS, STREAMS};
 use page::blocks;
-use tables::{CLUSTER, CORES, MANY_ROBOTS, NUMBERS, STREAMS};
 
 /// Pages with commands of `eddy-lab`, which its tests follow.
 const OF_THE_LAB: [&str; 5] = [CLUSTER, CORES, STREAMS, MANY_ROBOTS, NUMBERS];
@@ -40,7 +41,9 @@ macro_rules! pages {
 pages! {
     the_readme: "README.md",
     the_model_s_card: "checkpoints/particle-mingru/README.md",
+    how_to_install: "docs/src/install.md",
     the_tutorial: "docs/src/tutorial.md",
+    your_own_simulation: "docs/src/own_simulation.md",
     how_to_train_elsewhere: "docs/src/how-to/pytorch.md",
     how_to_use_python: "docs/src/how-to/python.md",
     how_to_record_from_a_robot: "docs/src/how-to/record.md",

@@ -12,10 +12,10 @@ use std::{
 
 use tempfile::TempDir;
 
-use super::{follow::root, tables::CHEAPER};
+use super::{follow::root, short::short};
 use crate::{
     programs,
-    support::{domain, free_port, unique},
+    support::{domain, free_port},
 };
 
 /// Programs besides those of eddy that pages may use.
@@ -37,7 +37,6 @@ validation.starts = 1
 pub struct World {
     folder: TempDir,
     domain: u16,
-    topic: String,
     ports: [u16; 2],
     started: usize,
 }
@@ -75,47 +74,35 @@ impl World {
         for name in ["bags/sample", "checkpoints/particle-mingru", "launch_configs"] {
             copy(&root().join(name), &folder.path().join(name));
         }
+        // In place of one that PyTorch has made.
+        let shipped = root().join("checkpoints/particle-mingru");
+        copy(&shipped, &folder.path().join("checkpoints/elsewhere"));
         fs::create_dir(folder.path().join(".bin")).unwrap();
         for program in programs() {
             let name = program.file_name().unwrap();
             symlink(&program, folder.path().join(".bin").join(name)).unwrap();
         }
-        let topic = unique("documented");
-        let world =
-            Self { folder, domain: domain(), topic, ports: [free_port(), free_port()], started: 0 };
+        let ports = [free_port(), free_port()];
+        let world = Self { folder, domain: domain(), ports, started: 0 };
         world.save("quick.toml", QUICK);
         world.save("study.toml", STUDY);
         world.shrink();
         world
     }
 
-    /// Reduces settings files, as [`CHEAPER`] reduces commands.
+    /// Makes settings files short, as [`short`] makes commands.
     fn shrink(&self) {
-        let folders = ["launch", "node", "study", "train"];
-        let files = folders
-            .into_iter()
-            .flat_map(|folder| fs::read_dir(self.at(&format!("launch_configs/{folder}"))).unwrap());
-        for entry in files {
+        for entry in fs::read_dir(self.at("launch_configs/train")).unwrap() {
             let file = entry.unwrap().path();
-            if file.extension().is_none_or(|extension| extension != "toml") {
-                continue;
-            }
-            let text = fs::read_to_string(&file).unwrap();
-            let mut table: toml::Table = text.parse().unwrap();
-            if table.contains_key("architecture") {
-                let quick: toml::Table = QUICK.parse().unwrap();
-                for (key, value) in quick {
-                    match (table.get_mut(&key), value) {
-                        (Some(toml::Value::Table(there)), toml::Value::Table(new)) => {
-                            there.extend(new)
-                        }
-                        (_, value) => drop(table.insert(key, value)),
-                    }
+            let mut table: toml::Table = fs::read_to_string(&file).unwrap().parse().unwrap();
+            let quick: toml::Table = QUICK.parse().unwrap();
+            for (key, value) in quick {
+                match (table.get_mut(&key), value) {
+                    (Some(toml::Value::Table(there)), toml::Value::Table(new)) => there.extend(new),
+                    (_, value) => drop(table.insert(key, value)),
                 }
-                fs::write(&file, table.to_string()).unwrap();
-            } else {
-                fs::write(&file, text.replace("shm:/", &format!("shm:/{}/", self.topic))).unwrap();
             }
+            fs::write(&file, table.to_string()).unwrap();
         }
     }
 
@@ -183,11 +170,8 @@ impl World {
     }
 
     fn cheaper(&self, line: &str) -> String {
-        let changed =
-            CHEAPER.iter().fold(line.to_owned(), |line, (from, to, _)| line.replace(from, to));
         let [port, other_port] = self.ports.map(|port| port.to_string());
-        let changed = changed.replace("{topic}", &self.topic);
-        changed.replace("{port}", &port).replace("{other_port}", &other_port)
+        short(line).replace("{port}", &port).replace("{other_port}", &other_port)
     }
 }
 

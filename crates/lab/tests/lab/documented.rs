@@ -3,10 +3,12 @@
 
 #[path = "../../../../tests/all/documented/follow.rs"]
 mod follow;
+#[path = "../../../../tests/all/documented/lab_pages.rs"]
+mod lab_pages;
 #[path = "../../../../tests/all/documented/page.rs"]
 mod page;
-#[path = "../../../../tests/all/documented/tables.rs"]
-mod tables;
+#[path = "../../../../tests/all/documented/short.rs"]
+mod short;
 #[path = "../../../../tests/all/documented/world.rs"]
 mod world;
 
@@ -15,27 +17,27 @@ pub use follow::root;
 
 #[test]
 fn how_to_run_on_a_cluster() {
-    follow(tables::CLUSTER);
+    follow(lab_pages::CLUSTER);
 }
 
 #[test]
 fn how_to_compare_cores() {
-    follow(tables::CORES);
+    follow(lab_pages::CORES);
 }
 
 #[test]
 fn how_to_serve_many_streams() {
-    follow(tables::STREAMS);
+    follow(lab_pages::STREAMS);
 }
 
 #[test]
 fn how_to_share_streams() {
-    follow(tables::MANY_ROBOTS);
+    follow(lab_pages::MANY_ROBOTS);
 }
 
 #[test]
 fn where_the_numbers_come_from() {
-    follow(tables::NUMBERS);
+    follow(lab_pages::NUMBERS);
 }
 
 #[test]
