@@ -59,7 +59,7 @@ const WITHOUT: [(&str, &[&str]); 7] = [
 ];
 
 /// Packages that are programs.
-const PROGRAMS: [&str; 2] = ["eddy", "eddy-lab"];
+const PROGRAMS: [&str; 2] = ["eddy-surrogates", "eddy-lab"];
 
 /// Pages and pictures that guide through the source.
 const GUIDES: [&str; 5] = [
