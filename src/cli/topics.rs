@@ -70,9 +70,10 @@ A checkpoint is a directory with model.toml (what the network is and expects) an
 model.safetensors (its weights); error_model.toml, if `eddy calibrate` has written it,
 holds estimates of the errors of predictions.
 
-Without --checkpoint, commands use the shipped one, particle-mingru: liquid, snow, jelly
-and rope of Young's moduli 3e2 to 3e5, gravity -9.8, frames 16 ms apart. It knows eddy's
-own solver. For other data, train one:
+Without --checkpoint, all commands but eval and calibrate use the shipped one,
+particle-mingru (--checkpoint takes this name, too): liquid, snow, jelly and rope of
+Young's moduli 3e2 to 3e5, gravity -9.8, frames 16 ms apart. It knows eddy's own solver.
+For other data, train one:
 
   eddy train --data bags/mine --output checkpoints/mine
   eddy eval --checkpoint checkpoints/mine --data bags/unseen --output reports/mine

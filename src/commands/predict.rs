@@ -92,7 +92,10 @@ fn open(args: &PredictArgs) -> anyhow::Result<(BagReader, SurrogateNode)> {
         settings.stiffness = match eddy_dataset::stiffness_of(&reader, &args.topic) {
             Ok(stiffness) => Some(stiffness.into()),
             Err(DatasetError::Stiffness { .. }) if description.assumed_stiffness.is_some() => None,
-            Err(error) => return Err(EvaluationError::UnknownStiffness(error).into()),
+            Err(error @ DatasetError::Stiffness { .. }) => {
+                return Err(EvaluationError::UnknownStiffness(error).into());
+            }
+            Err(other) => return Err(other.into()),
         };
     }
     let stated = eddy_dataset::stated_by(&reader, &args.topic)?;

@@ -32,7 +32,7 @@ pub(super) fn refused(error: DatasetError, skip_streams: bool) -> anyhow::Error 
 /// Why a stream cannot be used, and what can be done.
 pub(super) fn refused_frame(first: &UnusableFrame) -> anyhow::Error {
     anyhow!(
-        "{first}; --skip-streams leaves out such streams, `eddy bag check {}` lists all problems",
+        "{first}; --skip-streams leaves out such streams, `eddy bag check {}` lists what is wrong within a bag",
         command_line(&[first.path.display().to_string()])
     )
 }

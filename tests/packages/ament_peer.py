@@ -5,6 +5,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -161,12 +162,39 @@ def check_rclpy_node() -> None:
     print(f"ament_peer.py: rclpy_node.py: {count} predictions, equal to those of eddy.Surrogate")
 
 
+def check_documented_publisher() -> None:
+    """The publisher of the page on one's own simulation, from the page: its frames are those of the simulation."""
+    page = (CHECKOUT / "docs" / "src" / "own_simulation.md").read_text()
+    folder = WORK / "own_simulation"
+    folder.mkdir()
+    files = re.findall(r"^```python (\S+)\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    for name, text in files:
+        (folder / name).write_text(text)
+    listener = Listener("/particles")
+    publisher = subprocess.Popen([sys.executable, folder / "publisher.py"], cwd=folder)
+    try:
+        spin_until([listener], "ten frames", lambda: len(listener.frames) >= 10)
+    finally:
+        stop(publisher)
+    sys.path.insert(0, str(folder))
+    from my_simulation import simulate
+
+    position, velocity = simulate(1, frames=listener.frames[-1].sequence + 1)
+    for message in listener.frames:
+        frame = to_frame(message)
+        same = np.array_equal(frame.position, position[frame.sequence]) and np.array_equal(frame.velocity, velocity[frame.sequence])
+        expect(frame.stream == 1 and same, f"frame {frame.sequence} is another one than that of the simulation")
+    listener.destroy_node()
+    print(f"ament_peer.py: own_simulation.md: {len(listener.frames)} frames of the page's publisher")
+
+
 def main() -> None:
     check_hashes()
     nodes = check_layout()
     rclpy.init()
     check_rclpy_node()
     check_launched_node(nodes)
+    check_documented_publisher()
     rclpy.shutdown()
 
 

@@ -20,7 +20,7 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     if survey.further_findings > 0 {
         println!("... and {} more", survey.further_findings);
     }
-    print_restarts(&bag, &survey);
+    print_remarks(&bag, &survey);
     match survey.finding_count() {
         0 => {}
         1 => bail!("{}: 1 problem found", path.display()),
@@ -31,9 +31,18 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints which streams restart, which is no damage.
-fn print_restarts(bag: &BagReader, survey: &Survey) {
+/// Prints what is no damage: which streams restart, and in which the number of particles changes.
+fn print_remarks(bag: &BagReader, survey: &Survey) {
     for (topic, found) in bag.topics().iter().zip(&survey.topics) {
+        for (stream, found) in &found.streams {
+            let (least, most) = found.particles;
+            if least < most {
+                let name = on_one_line(&topic.name);
+                println!(
+                    "topic {name}, stream {stream}: {least} to {most} particles; networks need the same ones in all frames of a stream"
+                );
+            }
+        }
         for (stream, found) in found.streams.iter().filter(|(_, stream)| stream.restarts > 0) {
             let times = counted(found.restarts, "time");
             let name = on_one_line(&topic.name);

@@ -19,7 +19,7 @@ use anyhow::Context;
 
 use self::{
     live::Live,
-    scenes::{Scenes, Source},
+    scenes::{Progress, Scenes, Source},
     watch::{Printer, Recorded, Watch},
 };
 use super::{announce_page, eval::print_report, node::summary, surrogate};
@@ -177,6 +177,12 @@ impl Links {
         let prediction = record("/prediction", ParticleFrame::TYPE)?;
         let status = record("/prediction/status", PredictionStatus::TYPE)?;
         let recorder = Some(recorder);
+        let progress = Progress::default();
+        let mut outputs = Outputs::new(
+            publish("/prediction", ParticleFrame::TYPE)?,
+            publish("/prediction/status", PredictionStatus::TYPE)?,
+        );
+        outputs.observers.push(Box::new(progress.clone()));
         Ok(Self {
             watch: Watch { recorder, recorded: None, truth, prediction, status },
             input: subscribe("/particles", ParticleFrame::TYPE)?,
@@ -185,13 +191,12 @@ impl Links {
                 clock: publish("/clock", msg::Clock::TYPE)?,
                 began: Stamp(0),
                 now: Stamp(0),
+                progress,
+                published: 0,
                 hub: None,
                 named: None,
             },
-            outputs: Outputs::new(
-                publish("/prediction", ParticleFrame::TYPE)?,
-                publish("/prediction/status", PredictionStatus::TYPE)?,
-            ),
+            outputs,
         })
     }
 

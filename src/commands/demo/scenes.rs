@@ -1,13 +1,50 @@
 //! The scenes of the demo, and where their frames are published.
 
-use std::sync::Arc;
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
 
 use super::SCENE;
-use eddy_frames::{Frame, Material, Stamp};
+use eddy_frames::{Frame, FrameView, Material, Stamp};
 use eddy_messages::{self as msg, cdr};
 use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
-use eddy_node::{Pacer, viewer::Hub};
+use eddy_node::{NodeReport, Observer, Pacer, Prediction, viewer::Hub};
 use eddy_transport::Publisher;
+
+/// Frames that the simulation may be ahead of the node. Where a prediction takes longer than a frame lasts, time passes more slowly,
+/// and predictions still come before what they predict.
+const LEAD: u64 = 4;
+/// Longest wait for the node, which may have ended.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Counts the frames that the node has worked on.
+#[derive(Clone, Default)]
+pub(super) struct Progress(Arc<AtomicU64>);
+
+impl Progress {
+    /// Waits until fewer than [`LEAD`] of `published` frames are left.
+    fn wait(&self, published: u64) {
+        let start = Instant::now();
+        while published >= self.0.load(Ordering::Relaxed) + LEAD && start.elapsed() < PATIENCE {
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+impl Observer for Progress {
+    fn observed(&mut self, _: &FrameView<'_>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn predicted(&mut self, _: &Prediction<'_>) {}
+
+    fn reported(&mut self, _: &NodeReport<'_>) {}
+}
 
 /// Duration after which a scene ends as soon as it is at rest, if others follow (simulated s).
 const SHORTEST: f64 = 2.0;
@@ -68,6 +105,9 @@ pub(super) struct Source {
     pub(super) began: Stamp,
     /// Simulated time of the last frame.
     pub(super) now: Stamp,
+    /// How far the node has come, and the number of frames that were published.
+    pub(super) progress: Progress,
+    pub(super) published: u64,
     /// The live page.
     pub(super) hub: Option<Arc<Hub>>,
     /// The scene whose name it has.
@@ -80,6 +120,8 @@ impl Source {
             hub.begins(frame.stream, name(frame));
             self.named = Some(frame.stream);
         }
+        self.progress.wait(self.published);
+        self.published += 1;
         self.truth.publish_frame(frame)?;
         self.now = Stamp(self.began.0 + frame.stamp.0);
         Ok(self.clock.publish_cdr(&cdr::encode(&msg::Clock { clock: self.now.into() }))?)

@@ -61,6 +61,9 @@ pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
         println!("{name}");
         sentences.iter().for_each(|sentence| println!("    {sentence}"));
     }
+    if let Some(winner) = report.winner() {
+        println!("{winner}");
+    }
     println!("report: {}", folder.join("report.html").display());
 }
 

@@ -4,21 +4,37 @@ use super::{Entry, Report, Role, page::at, tables::rounded};
 use eddy_frames::counted;
 
 impl Report {
+    /// Which of several models is best, at the frames of the verdicts; `None` for fewer than two.
+    pub fn winner(&self) -> Option<String> {
+        let judged: Vec<_> = self.judged().collect();
+        let [first, _, ..] = judged[..] else { return None };
+        let at_frame = |&frame: &usize| {
+            let best = judged.iter().max_by(|a, b| {
+                let [a, b] = [a, b].map(|entry| at(&entry.skill, frame));
+                a.is_nan().cmp(&b.is_nan()).reverse().then(a.total_cmp(&b))
+            });
+            best.map(|best| format!("{} at frame {frame}", best.name))
+        };
+        let best: Vec<_> = frames(first.skill.len()).iter().filter_map(at_frame).collect();
+        Some(format!("Best of {}: {}.", judged.len(), best.join(", ")))
+    }
+
     /// A model and sentences on it: where it is better than trivial, its weakest kind of scenes, blow-ups, cost.
     pub fn verdicts(&self) -> impl Iterator<Item = (&str, Vec<String>)> {
+        self.judged().map(|entry| (&*entry.name, self.verdict(entry)))
+    }
+
+    fn judged(&self) -> impl Iterator<Item = &Entry> {
         let judged =
             |entry: &&Entry| matches!(entry.role, Role::Model | Role::JoinedLate | Role::Recorded);
-        self.predictors.iter().filter(judged).map(|entry| (&*entry.name, self.verdict(entry)))
+        self.predictors.iter().filter(judged)
     }
 
     fn verdict(&self, entry: &Entry) -> Vec<String> {
         let last = entry.skill.len();
-        let mut frames = vec![1, 20, last];
-        frames.retain(|&frame| frame <= last);
-        frames.dedup();
-        let skills = frames
-            .iter()
-            .map(|&frame| format!("{} at frame {frame}", rounded(at(&entry.skill, frame))));
+        let skills = frames(last)
+            .into_iter()
+            .map(|frame| format!("{} at frame {frame}", rounded(at(&entry.skill, frame))));
         let skills: Vec<_> = skills.collect();
         let mut sentences = vec![format!(
             "Better than the best trivial predictor {}: skill {}.",
@@ -33,9 +49,10 @@ impl Report {
                 .push(format!("Weakest in scenes of {}: {skill} at frame {last}.", kind.name()));
         }
         let all = counted(self.windows as u64, "rollout");
+        let far_off = entry.blow_ups.far_off;
         sentences.push(match entry.blow_ups.any {
-            0 => format!("None of {all} blows up."),
-            count => format!("{count} of {all} blow up."),
+            0 => format!("None of {all} blows up, {far_off} end far off."),
+            count => format!("{count} of {all} blow up, {far_off} end far off."),
         });
         if let Some(cost) = &entry.cost {
             sentences.push(format!(
@@ -50,6 +67,14 @@ impl Report {
         }
         sentences
     }
+}
+
+/// The frames ahead whose skills are named, of so many.
+fn frames(last: usize) -> Vec<usize> {
+    let mut frames = vec![1, 20, last];
+    frames.retain(|&frame| frame <= last);
+    frames.dedup();
+    frames
 }
 
 /// At which frames ahead a skill is above 0.

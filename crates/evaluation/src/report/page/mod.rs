@@ -51,6 +51,9 @@ impl Report {
         for (name, sentences) in self.verdicts() {
             verdict.paragraph(&format!("{name}: {}", sentences.join(" ")));
         }
+        if let Some(winner) = self.winner() {
+            verdict.paragraph(&winner);
+        }
         self.summary(page.section("Summary"));
         self.paper(page.section("Scene by scene: the paper's Tables 2 and 3"));
         self.error_curves(page.section("Errors over the frames ahead"));
@@ -77,7 +80,8 @@ impl Report {
 
     /// The title with the names of the models.
     fn title(&self) -> String {
-        let models = self.predictors.iter().filter(|entry| entry.role == Role::Model);
+        let judged = [Role::Model, Role::Recorded];
+        let models = self.predictors.iter().filter(|entry| judged.contains(&entry.role));
         let names: Vec<&str> = models.map(|entry| entry.name.as_str()).collect();
         match names[..] {
             [] => "Evaluation".to_owned(),
