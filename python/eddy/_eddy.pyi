@@ -309,6 +309,7 @@ def evaluation_starts(
     *,
     horizon: int = 100,
     starts: int = 7,
+    stiffness: float | None = None,
     skip_streams: bool = False,
 ) -> list[_Starts]: ...
 def skill(

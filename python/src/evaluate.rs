@@ -166,13 +166,14 @@ pub(crate) fn evaluate(
 /// The frames that the rollouts of `evaluate` with the same arguments begin after: for each stream a dictionary with its `bag`, its
 /// number `stream` and the `sequences` of the last observed frames. Another predictor is judged on rollouts from these.
 #[pyfunction]
-#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, skip_streams=false))]
+#[pyo3(signature = (data, checkpoints=None, *, horizon=100, starts=7, stiffness=None, skip_streams=false))]
 pub(crate) fn evaluation_starts<'py>(
     py: Python<'py>,
     data: Paths,
     checkpoints: Option<Paths>,
     horizon: usize,
     starts: usize,
+    stiffness: Option<f32>,
     skip_streams: bool,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
     let request = Request {
@@ -181,7 +182,7 @@ pub(crate) fn evaluation_starts<'py>(
         predictions: BTreeMap::new(),
         settings: Settings::full(horizon, starts),
         references: Vec::new(),
-        stiffness: None,
+        stiffness,
         threads: None,
         skip_streams,
     };

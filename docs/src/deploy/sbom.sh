@@ -2,7 +2,7 @@
 # Writes the software bill of materials of the programs and of the Python package in CycloneDX's format: every crate that is compiled
 # into them with the features of the build, with version, licence and checksum.
 #
-#   docs/src/deploy/sbom.sh [FOLDER]     writes eddy.cdx.json, eddy-lab.cdx.json and eddy-python.cdx.json into FOLDER [default: target/sbom]
+#   docs/src/deploy/sbom.sh [FOLDER]     writes eddy-surrogates.cdx.json, eddy-lab.cdx.json and eddy-python.cdx.json into FOLDER [default: target/sbom]
 #
 # Installs cargo-cyclonedx into a cache of the user's; needs Python 3. The same sources give the same bytes.
 set -euo pipefail

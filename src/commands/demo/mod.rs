@@ -120,7 +120,7 @@ fn node_settings(headless: bool, model: &Description, scene: &Scene) -> NodeSett
     let settings = NodeSettings { horizon: AHEAD, stiffness, ..NodeSettings::default() };
     match headless {
         true => settings,
-        // With a page, free runs pause with the simulation, and finished scenes are evicted.
+        // With a page, free runs pause with the simulation, and finished scenes are forgotten.
         false => NodeSettings { use_sim_time: true, max_streams: 1, ..settings },
     }
 }
@@ -212,6 +212,7 @@ impl Links {
         printer: Printer,
     ) -> anyhow::Result<bool> {
         let Self { source, input, outputs, watch } = self;
+        let progress = source.progress.clone();
         let (truth_ended, stop) = (AtomicBool::new(false), AtomicBool::new(false));
         thread::scope(|scope| {
             let truth = scope.spawn(|| {
@@ -225,7 +226,9 @@ impl Links {
                 let time = RosTime::new(simulated_time(transports.clone()));
                 let (name, link) = (format!("/{NAME}"), Link::memory("/particles"));
                 let mut context = NodeContext { name, input: link, time, group: None };
-                drive(node, &mut context, input, outputs, &queue, handle, stop)
+                let outcome = drive(node, &mut context, input, outputs, &queue, handle, stop);
+                progress.end();
+                outcome
             });
             let watched = watch.run(live, &truth_ended, printer);
             stop.store(true, Ordering::Relaxed);

@@ -6,7 +6,7 @@ use std::{
         atomic::{AtomicU64, Ordering},
     },
     thread,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use super::SCENE;
@@ -19,20 +19,25 @@ use eddy_transport::Publisher;
 /// Frames that the simulation may be ahead of the node. Where a prediction takes longer than a frame lasts, time passes more slowly,
 /// and predictions still come before what they predict.
 const LEAD: u64 = 4;
-/// Longest wait for the node, which may have ended.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// Between two looks at how far the node has come.
+const NAP: Duration = Duration::from_millis(1);
+/// Most looks: a page may have paused the node.
+const PATIENCE: u32 = 1000;
 
 /// Counts the frames that the node has worked on.
 #[derive(Clone, Default)]
 pub(super) struct Progress(Arc<AtomicU64>);
 
 impl Progress {
+    /// Nobody waits for a node that has ended.
+    pub(super) fn end(&self) {
+        self.0.store(u64::MAX / 2, Ordering::Relaxed);
+    }
+
     /// Waits until fewer than [`LEAD`] of `published` frames are left.
     fn wait(&self, published: u64) {
-        let start = Instant::now();
-        while published >= self.0.load(Ordering::Relaxed) + LEAD && start.elapsed() < PATIENCE {
-            thread::sleep(Duration::from_millis(1));
-        }
+        let is_late = || published >= self.0.load(Ordering::Relaxed) + LEAD;
+        (0..PATIENCE).take_while(|_| is_late()).for_each(|_| thread::sleep(NAP));
     }
 }
 

@@ -6,7 +6,8 @@ use eddy_frames::counted;
 impl Report {
     /// Which of several models is best, at the frames of the verdicts; `None` for fewer than two.
     pub fn winner(&self) -> Option<String> {
-        let judged: Vec<_> = self.judged().collect();
+        let apart = |entry: &&Entry| entry.role != Role::JoinedLate;
+        let judged: Vec<_> = self.judged().filter(apart).collect();
         let [first, _, ..] = judged[..] else { return None };
         let at_frame = |&frame: &usize| {
             let best = judged.iter().max_by(|a, b| {
@@ -42,6 +43,7 @@ impl Report {
             skills.join(", ")
         )];
         let weakest = entry.kinds.iter().map(|kind| (kind.kind, at(&kind.skill, last)));
+        let weakest = weakest.filter(|(_, skill)| !skill.is_nan());
         let weakest = weakest.min_by(|(_, a), (_, b)| a.total_cmp(b));
         if let Some((kind, skill)) = weakest.filter(|_| entry.kinds.len() > 1) {
             let skill = rounded(skill);

@@ -387,7 +387,7 @@ fn invalid_frames_are_counted_by_fault_and_change_nothing() {
 }
 
 #[test]
-fn the_least_recently_used_stream_is_evicted() {
+fn the_least_recently_used_stream_is_forgotten() {
     let mut node = node(NodeSettings { max_streams: 2, ..NodeSettings::default() });
     // All at one instant, as in `eddy predict`: the order of use decides, not the time.
     for (sequence, stream) in [(0, 1), (1, 2), (1, 1), (3, 3)] {
