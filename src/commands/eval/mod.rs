@@ -59,12 +59,28 @@ pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
     print!("{tables}");
     for (name, sentences) in report.verdicts() {
         println!("{name}");
-        sentences.iter().for_each(|sentence| println!("    {sentence}"));
+        print_wrapped(&sentences.join(" "), "    ", columns);
     }
     if let Some(winner) = report.winner() {
-        println!("{winner}");
+        print_wrapped(&winner, "", columns);
     }
     println!("report: {}", folder.join("report.html").display());
+}
+
+/// Prints words in lines of at most `columns` characters that begin with `indent`.
+fn print_wrapped(words: &str, indent: &str, columns: usize) {
+    let mut line = indent.to_owned();
+    for word in words.split(' ') {
+        if line.len() > indent.len() && line.chars().count() + 1 + word.chars().count() > columns {
+            println!("{line}");
+            line.truncate(indent.len());
+        }
+        if line.len() > indent.len() {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    println!("{line}");
 }
 
 fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {
