@@ -19,7 +19,7 @@ pub struct BenchArgs {
     /// The benchmark.
     #[command(subcommand)]
     pub command: BenchCommand,
-    /// Also write the tables and plots to an HTML page.
+    /// Also write the tables and plots to an HTML page [default: none].
     #[arg(long, global = true, value_name = "FILE")]
     pub html: Option<PathBuf>,
     /// Replace an existing HTML page.
@@ -198,7 +198,8 @@ pub struct BenchSolverArgs {
     /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
-    /// Write the initial states and the states after 20 and 200 substeps to bags, for comparison with other programs.
+    /// Write the initial states and the states after 20 and 200 substeps to bags, for comparison with other programs
+    /// [default: none].
     #[arg(long, value_name = "DIR", short)]
     pub output: Option<PathBuf>,
     /// Print JSON instead of tables.
@@ -287,7 +288,7 @@ pub struct StudyChoice {
     /// Use the paper's networks with a training that lets them learn, on 600 scenes per preset.
     #[arg(long)]
     pub mended: bool,
-    /// Read settings from a TOML file; it overrides --quick, --paper or --mended.
+    /// Read settings from a TOML file; it overrides --quick, --paper or --mended [default: no file].
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Directory of data, networks, evaluations and reports. Comparisons with the same output share data and networks;
