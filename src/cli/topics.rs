@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use clap::Command;
 
-/// The commands that one needs first, by what they are for. The others are named below them.
+/// The most frequently used commands, grouped by purpose. All others are listed on one line below.
 const GROUPS: &[(&str, &[&str])] = &[
     ("Start here", &["demo"]),
     ("Simulate, learn, judge", &["simulate", "train", "eval", "predict"]),
@@ -25,9 +25,9 @@ A link is a transport and a topic: zenoh:/particles, shm:/prediction, dds:/parti
   dds      the wire of ROS 2 with Fast DDS or Cyclone DDS
 
 A topic alone, such as /particles, is on the transport in EDDY_TRANSPORT, on zenoh
-without it. ROS_DOMAIN_ID keeps groups of programs apart (default 0). All transports
-stay on this machine unless they are told otherwise: zenoh by ZENOH_CONFIG_OVERRIDE
-or ZENOH_SESSION_CONFIG_URI, dds by ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET.
+without it. ROS_DOMAIN_ID separates groups of programs (default 0). By default, all
+transports are limited to this machine. To reach others, set ZENOH_CONFIG_OVERRIDE or
+ZENOH_SESSION_CONFIG_URI for zenoh, ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET for dds.
 
   --reliability block   a publisher waits for its subscribers and loses nothing
   --reliability drop    it never waits; slow subscribers miss messages

@@ -29,6 +29,7 @@ pub use plot::{LinePlot, Series};
 pub use provenance::{Machine, Provenance, command_line};
 pub use scale::{Axis, Scale};
 pub use table::{Cell, Table};
+pub use text::wrapped;
 
 /// The example of the README, which a test runs.
 #[cfg(doctest)]

@@ -76,7 +76,7 @@ fn is_word(cell: &str) -> bool {
 }
 
 /// Words in lines of at most `columns` characters.
-fn wrapped(text: &str, columns: usize) -> String {
+pub fn wrapped(text: &str, columns: usize) -> String {
     let mut lines = String::new();
     let mut length = 0;
     for word in text.split(' ') {

@@ -15,7 +15,11 @@ use crate::cli::{EvalArgs, ReferenceName};
 use eddy_cli::{Interrupt, Output, OutputKind, TerminalProgress, terminal};
 use eddy_evaluation::{Evaluation, EvaluationRequest, Recorded, Reference, Report, Settings};
 use eddy_inference::checkpoint::{Checkpoint, Rule};
+use eddy_pages::wrapped;
 use eddy_settings::ensure_usage;
+
+/// Before what is said of a model.
+const INDENT: &str = "    ";
 
 /// Evaluates all checkpoints on the same frames, prints the tables and writes the report.
 pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
@@ -59,28 +63,13 @@ pub(super) fn print_report(report: &Report, folder: &Path, all: bool) {
     print!("{tables}");
     for (name, sentences) in report.verdicts() {
         println!("{name}");
-        print_wrapped(&sentences.join(" "), "    ", columns);
+        let sentences = wrapped(&sentences.join(" "), columns.saturating_sub(INDENT.len()));
+        sentences.lines().for_each(|line| println!("{INDENT}{line}"));
     }
     if let Some(winner) = report.winner() {
-        print_wrapped(&winner, "", columns);
+        println!("{}", wrapped(&winner, columns));
     }
     println!("report: {}", folder.join("report.html").display());
-}
-
-/// Prints words in lines of at most `columns` characters that begin with `indent`.
-fn print_wrapped(words: &str, indent: &str, columns: usize) {
-    let mut line = indent.to_owned();
-    for word in words.split(' ') {
-        if line.len() > indent.len() && line.chars().count() + 1 + word.chars().count() > columns {
-            println!("{line}");
-            line.truncate(indent.len());
-        }
-        if line.len() > indent.len() {
-            line.push(' ');
-        }
-        line.push_str(word);
-    }
-    println!("{line}");
 }
 
 fn request(args: &EvalArgs) -> anyhow::Result<EvaluationRequest> {

@@ -6,15 +6,13 @@ use eddy_frames::counted;
 impl Report {
     /// Which of several models is best, at the frames of the verdicts; `None` for fewer than two.
     pub fn winner(&self) -> Option<String> {
-        let apart = |entry: &&Entry| entry.role != Role::JoinedLate;
-        let judged: Vec<_> = self.judged().filter(apart).collect();
+        let judged: Vec<_> = self.competing().collect();
         let [first, _, ..] = judged[..] else { return None };
         let at_frame = |&frame: &usize| {
-            let best = judged.iter().max_by(|a, b| {
-                let [a, b] = [a, b].map(|entry| at(&entry.skill, frame));
-                a.is_nan().cmp(&b.is_nan()).reverse().then(a.total_cmp(&b))
-            });
-            best.map(|best| format!("{} at frame {frame}", best.name))
+            let skills = judged.iter().map(|entry| (&entry.name, at(&entry.skill, frame)));
+            let skills = skills.filter(|(_, skill)| !skill.is_nan());
+            let best = skills.max_by(|(_, a), (_, b)| a.total_cmp(b));
+            best.map(|(name, _)| format!("{name} at frame {frame}"))
         };
         let best: Vec<_> = frames(first.skill.len()).iter().filter_map(at_frame).collect();
         Some(format!("Best of {}: {}.", judged.len(), best.join(", ")))
@@ -29,6 +27,11 @@ impl Report {
         let judged =
             |entry: &&Entry| matches!(entry.role, Role::Model | Role::JoinedLate | Role::Recorded);
         self.predictors.iter().filter(judged)
+    }
+
+    /// The models, and the rollouts of other programs: a model that joined late competes with itself.
+    pub(super) fn competing(&self) -> impl Iterator<Item = &Entry> {
+        self.judged().filter(|entry| entry.role != Role::JoinedLate)
     }
 
     fn verdict(&self, entry: &Entry) -> Vec<String> {

@@ -80,9 +80,7 @@ impl Report {
 
     /// The title with the names of the models.
     fn title(&self) -> String {
-        let judged = [Role::Model, Role::Recorded];
-        let models = self.predictors.iter().filter(|entry| judged.contains(&entry.role));
-        let names: Vec<&str> = models.map(|entry| entry.name.as_str()).collect();
+        let names: Vec<&str> = self.competing().map(|entry| entry.name.as_str()).collect();
         match names[..] {
             [] => "Evaluation".to_owned(),
             [name] => format!("Evaluation of {name}"),
