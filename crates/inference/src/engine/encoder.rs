@@ -147,7 +147,7 @@ impl Encoder {
         maxima: &mut [f32],
     ) {
         self.block(simd, features, material, points);
-        if S::REGISTER_COUNT >= 32 {
+        if const { S::REGISTER_COUNT >= 32 } {
             self.update_maxima_rows::<S, 6>(simd, second, features.len(), points, maxima);
         } else {
             self.update_maxima_rows::<S, 3>(simd, second, features.len(), points, maxima);

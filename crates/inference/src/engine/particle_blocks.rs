@@ -134,11 +134,16 @@ impl StepContext<'_> {
             let (first, sums) = (number * self.nodes.order().len(), layer.sums());
             // As many rows as keep the sums of all gates in registers.
             let (layer, new) = ((layer, first), (&mut **output, &mut **new_cells));
-            match (sums, S::REGISTER_COUNT >= 32) {
-                (..=2, true) => self.core_layer::<S, 12>(simd, layer, particles, input, new),
-                (_, true) => self.core_layer::<S, 6>(simd, layer, particles, input, new),
-                (..=2, false) => self.core_layer::<S, 6>(simd, layer, particles, input, new),
-                (_, false) => self.core_layer::<S, 3>(simd, layer, particles, input, new),
+            if const { S::REGISTER_COUNT >= 32 } {
+                match sums {
+                    ..=2 => self.core_layer::<S, 12>(simd, layer, particles, input, new),
+                    _ => self.core_layer::<S, 6>(simd, layer, particles, input, new),
+                }
+            } else {
+                match sums {
+                    ..=2 => self.core_layer::<S, 6>(simd, layer, particles, input, new),
+                    _ => self.core_layer::<S, 3>(simd, layer, particles, input, new),
+                }
             }
             std::mem::swap(input, output);
         }

@@ -146,7 +146,7 @@ impl WithSimd for Product<'_> {
         let mut first = 0;
         while first < count {
             let left = count - first;
-            if S::F32_LANES == 16 && left >= ROWS[0] {
+            if const { S::F32_LANES == 16 } && left >= ROWS[0] {
                 block::<S, { ROWS[0] }>(simd, panel, rows, count, first, products);
                 first += ROWS[0];
             } else if left >= ROWS[1] {

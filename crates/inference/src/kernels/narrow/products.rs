@@ -97,7 +97,7 @@ impl Products<'_> {
     /// G vectors of columns from `vector` on.
     #[inline(always)]
     fn pass<S: Simd, const G: usize>(&mut self, simd: S, vector: usize) {
-        if S::REGISTER_COUNT >= 32 {
+        if const { S::REGISTER_COUNT >= 32 } {
             self.rows::<S, 8, G>(simd, vector);
         } else {
             self.rows::<S, 4, G>(simd, vector);

@@ -31,7 +31,7 @@ pub(crate) trait Sink {
     fn put<S: Simd>(&mut self, simd: S, row: usize, outputs: Range<usize>, sums: S::f32s);
 }
 
-/// Applies a layer to `count` rows.
+/// Applies a layer to `count` rows. The condition is a constant block, so that code for other vectors is not even compiled.
 #[inline(always)]
 pub(crate) fn apply<S: Simd>(
     simd: S,
@@ -40,15 +40,15 @@ pub(crate) fn apply<S: Simd>(
     source: &impl Source,
     sink: &mut impl Sink,
 ) {
-    if S::REGISTER_COUNT >= 32 {
+    if const { S::REGISTER_COUNT >= 32 } {
         apply_rows::<S, 12, 4>(simd, &linear.whole, count, source, sink);
+        // The code is part of a function for AVX-512, which has 32 registers of 256 bits as well.
+        #[cfg(target_arch = "x86_64")]
+        if let Some((simd, last)) = &linear.last {
+            apply_rows::<_, 12, 4>(*simd, last, count, source, sink);
+        }
     } else {
         apply_rows::<S, 6, 2>(simd, &linear.whole, count, source, sink);
-    }
-    // The code is part of a function for AVX-512, which has 32 registers of 256 bits as well.
-    #[cfg(target_arch = "x86_64")]
-    if let Some((simd, last)) = &linear.last {
-        apply_rows::<_, 12, 4>(*simd, last, count, source, sink);
     }
 }
 

@@ -128,7 +128,7 @@ impl Segments {
                 let mut part = 0;
                 while part < stride {
                     // Two vectors at once if there are enough registers.
-                    if S::REGISTER_COUNT >= 32 && part + 2 * S::F32_LANES <= stride {
+                    if const { S::REGISTER_COUNT >= 32 } && part + 2 * S::F32_LANES <= stride {
                         add_cell::<S, 2>(simd, weights, rows, stride, part, places, sums);
                         part += 2 * S::F32_LANES;
                     } else {
