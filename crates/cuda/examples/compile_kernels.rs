@@ -1,5 +1,5 @@
 //! Compiles the kernels of every core's network for some compute capabilities, without a GPU:
-//! `compile_kernels FOLDER 80 90` writes `NAME.CAPABILITY.ptx`, `NAME.CAPABILITY.cubin`.
+//! `compile_kernels FOLDER 80 90` writes `NAME.CAPABILITY.ptx`.
 
 use std::{
     error::Error,
@@ -30,25 +30,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         .into_iter()
         .map(|(name, program)| (name, program.checked_source(), program.definitions()))
         .collect();
-    let targets: Vec<_> = capabilities
-        .iter()
-        .flat_map(|&number| [Target::Ptx(number), Target::Machine(number)])
-        .collect();
     let all: Vec<_> = programs
         .iter()
-        .flat_map(|program| targets.iter().map(move |&target| (program, target)))
+        .flat_map(|program| capabilities.iter().map(move |&capability| (program, capability)))
         .collect();
     let next = AtomicUsize::new(0);
     let work = || -> Result<(), String> {
-        while let Some(&((name, source, definitions), target)) =
+        while let Some(&((name, source, definitions), capability)) =
             all.get(next.fetch_add(1, Ordering::Relaxed))
         {
-            let image = compile(source, definitions, target).map_err(|error| error.to_string())?;
-            let (capability, extension) = match target {
-                Target::Ptx(number) => (number, "ptx"),
-                Target::Machine(number) => (number, "cubin"),
-            };
-            let file = folder.join(format!("{name}.{capability}.{extension}"));
+            let image = compile(source, definitions, Target::Ptx(capability))
+                .map_err(|error| error.to_string())?;
+            let file = folder.join(format!("{name}.{capability}.ptx"));
             println!("{}: {} bytes", file.display(), image.len());
             fs::write(file, image).map_err(|error| error.to_string())?;
         }

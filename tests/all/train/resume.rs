@@ -298,7 +298,7 @@ fn a_process_that_is_killed_within_an_epoch_goes_on_to_the_same_bits() {
     write_bag(&folder.path().join("bag"), &[0, 1, 2].map(stream));
     fs::write(
         path("train.toml"),
-        "windows.per_epoch = 1024\noptimizer.average = 0.9\nvalidation.horizon = 8\nnetwork.dropout = 0.1\nunroll = [{ share = 1.0, frames = 4 }]\n",
+        "windows.per_epoch = 512\noptimizer.average = 0.9\nvalidation.horizon = 8\nnetwork.dropout = 0.1\nunroll = [{ share = 1.0, frames = 4 }]\n",
     )
     .unwrap();
     let (data, settings) = (path("bag"), path("train.toml"));
@@ -336,7 +336,7 @@ fn a_process_that_is_interrupted_ends_well_and_says_how_to_go_on() {
     write_bag(&folder.path().join("bag"), &[0, 1, 2].map(stream));
     fs::write(
         path("train.toml"),
-        "windows.per_epoch = 1024\noptimizer.average = 0.9\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n",
+        "windows.per_epoch = 512\noptimizer.average = 0.9\nvalidation.horizon = 8\nunroll = [{ share = 1.0, frames = 4 }]\n",
     )
     .unwrap();
     let mut command = talking_eddy();
