@@ -35,6 +35,8 @@ const MAX_CATCH_UP: u32 = 16;
 
 /// Streams of which it is remembered that the model's warnings were logged.
 const MAX_WARNED: usize = 4096;
+/// Once a stream.
+const OTHER_COUNT: &str = "the number of particles has changed: the stream begins anew, as after a reset; networks need the same particles in all frames";
 /// Warnings that are kept for observers.
 const MAX_WARNINGS: usize = 64;
 
@@ -407,11 +409,13 @@ impl SurrogateNode {
             self.step(arrivals, batch, output);
         }
         let Self { streams, settings, counters, .. } = self;
+        let mut is_other_count = false;
         let gap = match streams.get_mut(&stream) {
             None => None,
             Some(state) => match state.order(frame) {
                 Order::Restart => {
                     counters.resets += 1;
+                    is_other_count = frame.particles.len() != state.predicted.len();
                     None
                 }
                 _ if state.free_run_due.is_some() => {
@@ -442,6 +446,10 @@ impl SurrogateNode {
         }
         self.step(arrivals, batch, output);
         self.start(&frame.to_frame())?;
+        if is_other_count && !self.warnings.iter().any(|said| *said == (stream, OTHER_COUNT.into()))
+        {
+            self.warn(stream, OTHER_COUNT.to_owned());
+        }
         batch.push(Scheduled { index, stream, gap: 0 });
         self.step(arrivals, batch, output);
         self.evict();
@@ -465,11 +473,7 @@ impl SurrogateNode {
                 tracing::debug!("stream {}: {warning}", frame.stream);
                 continue;
             }
-            tracing::warn!("stream {}: {warning}", frame.stream);
-            if self.warnings.len() >= MAX_WARNINGS {
-                self.warnings.remove(0);
-            }
-            self.warnings.push((frame.stream, text));
+            self.warn(frame.stream, text);
         }
         let error_tracker = self.surrogate.error_model().map(|_| {
             ErrorTracker::new(self.surrogate.description(), &frame.domain, &frame.material)
@@ -487,6 +491,15 @@ impl SurrogateNode {
         };
         self.streams.insert(frame.stream, state);
         Ok(())
+    }
+
+    /// Logs a warning about a stream and keeps it for the diagnostics.
+    fn warn(&mut self, stream: u64, text: String) {
+        tracing::warn!("stream {stream}: {text}");
+        if self.warnings.len() >= MAX_WARNINGS {
+            self.warnings.remove(0);
+        }
+        self.warnings.push((stream, text));
     }
 
     /// Steps the batch in parallel and passes on the predictions.

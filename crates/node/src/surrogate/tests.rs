@@ -356,6 +356,10 @@ fn different_particles_reset_the_stream() {
     let found = feed_all(&mut node, (5..8).map(one_particle));
     assert_eq!(found, [directly((5..8).map(one_particle)).2]);
     assert_eq!(node.counters().resets, 1);
+
+    feed_all(&mut node, [frame(1, 8), one_particle(9)]);
+    let said = node.warnings().iter().filter(|(_, said)| said.contains("number of particles"));
+    assert_eq!(said.count(), 1, "once a stream: {:?}", node.warnings());
 }
 
 #[test]
