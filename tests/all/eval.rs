@@ -90,6 +90,17 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     assert!(group["skill_intervals"].is_null(), "one scene says nothing about others");
     assert!(group["ms"].as_f64().unwrap() > 0.0);
     assert_eq!(report["compared"], serde_json::json!([2, 1]));
+    // The verdict says in words what the numbers say.
+    let said = printed.split_whitespace().collect::<Vec<_>>().join(" ");
+    let at = |ahead: usize| report["predictors"][0]["skill"][ahead - 1].as_f64().unwrap();
+    assert!(at(1) > 0.0 && at(5) > 0.0, "the shipped model is better than trivial");
+    let words =
+        format!("skill {:+.2} at frame 1, {:+.2} at frame 5. None of 2 rollouts", at(1), at(5));
+    assert!(said.contains(&words), "no {words} in {printed}");
+    assert!(
+        said.contains("Best of 2: ") && said.contains("Too few scenes for an interval"),
+        "{printed}"
+    );
     let cost = &report["predictors"][restarted]["cost"];
     assert_eq!(cost["kinds"][0]["p50"], cost["p50"], "one kind");
     let plot = fs::read(folder.path().join("report/cost_error.png")).unwrap();
@@ -112,7 +123,7 @@ fn seeds_and_rivals_are_judged_side_by_side_on_the_same_frames() {
     let html = fs::read_to_string(folder.path().join("report/report.html")).unwrap();
     is_a_page_of_its_own(&html);
     for words in [
-        "Scene by scene: the paper&#39;s Tables 2 and 3",
+        "Scene by scene",
         "MinMax MSE, mean of frames 1 to 5",
         "One-step, accumulated and free-rollout error",
         "Physical consistency",

@@ -6,10 +6,10 @@ use super::{Entry, Role};
 use crate::{BlowUps, Interval, Kind, Skills, numbers};
 use eddy_inference::checkpoint::{Description, Normalization, TrainingSummary};
 
-/// Seeds of one model.
+/// Seeds of one model, or the rollouts of another program.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Group {
-    /// The model: architecture and core.
+    /// The model: architecture and core; the name of the rollouts.
     pub name: String,
     /// Names of its checkpoints.
     pub members: Vec<String>,
@@ -53,24 +53,27 @@ pub struct GroupSkill {
 }
 
 impl Group {
-    /// All groups of models, in the order of their first members. `networks` has the description of each model.
+    /// All groups of models, in the order of their first members, and one for the rollouts of each other program. `networks` has the
+    /// description of each model.
     pub(super) fn all(
         predictors: &[Entry],
         networks: &[Option<Description>],
         skills: &Skills,
         shown: &[usize],
     ) -> Vec<Self> {
-        let checkpoints = predictors
-            .iter()
-            .zip(networks)
-            .enumerate()
-            .filter(|(_, (entry, _))| entry.role == Role::Model)
-            .filter_map(|(number, (_, description))| Some((number, description.as_ref()?)));
-        let models = by_model(checkpoints.collect());
-        let members: Vec<Vec<usize>> =
-            models.iter().map(|model| model.iter().map(|(number, _)| *number).collect()).collect();
-        let group = |(model, members): (&Models<'_>, &Vec<usize>)| {
+        let of_role =
+            |role| predictors.iter().enumerate().filter(move |(_, entry)| entry.role == role);
+        let checkpoints = of_role(Role::Model)
+            .filter_map(|(number, _)| Some((number, networks[number].as_ref()?)));
+        let models = by_model(checkpoints.collect()).into_iter().map(|model| {
             let (_, network) = model[0];
+            let name = format!("{} {}", network.architecture.name(), network.core.name());
+            (name, model.iter().map(|(number, _)| *number).collect())
+        });
+        let rivals =
+            of_role(Role::Recorded).map(|(number, entry)| (entry.name.clone(), vec![number]));
+        let members: Vec<(String, Vec<usize>)> = models.chain(rivals).collect();
+        let group = |(name, members): &(String, Vec<usize>)| {
             let entries: Vec<&Entry> = members.iter().map(|&member| &predictors[member]).collect();
             let mut blow_ups = BlowUps::default();
             entries.iter().for_each(|entry| blow_ups.merge(&entry.blow_ups));
@@ -83,7 +86,7 @@ impl Group {
             };
             let curves = members.iter().map(|&member| skills.mean(member)).collect();
             Self {
-                name: format!("{} {}", network.architecture.name(), network.core.name()),
+                name: name.clone(),
                 members: entries.iter().map(|entry| entry.name.clone()).collect(),
                 blow_ups,
                 ms: times.map(|times| times.iter().sum::<f64>() / times.len() as f64),
@@ -92,13 +95,13 @@ impl Group {
                 gain: None,
             }
         };
-        let mut groups: Vec<Self> = models.iter().zip(&members).map(group).collect();
+        let mut groups: Vec<Self> = members.iter().map(group).collect();
         if let Some((first, others)) = groups.split_first_mut() {
-            for (group, members_of) in others.iter_mut().zip(&members[1..]) {
+            for (group, (_, members_of)) in others.iter_mut().zip(&members[1..]) {
                 let pairs = group.skill.skill.iter().zip(&first.skill.skill);
                 group.gain = Some(Gain {
                     gain: pairs.map(|(mine, first)| mine - first).collect(),
-                    gain_intervals: skills.gain_intervals(members_of, &members[0], shown),
+                    gain_intervals: skills.gain_intervals(members_of, &members[0].1, shown),
                 });
             }
         }

@@ -17,7 +17,8 @@ impl Report {
             0 | 1 => String::new(),
             kinds => format!(", mean of {kinds} kinds of scenes"),
         };
-        let caption = format!("skill (1 is perfect, 0 as good as the best baseline){kinds}");
+        let caption =
+            format!("skill (1 is perfect, 0 as good as the best trivial predictor){kinds}");
         let mut table = Table::new(caption, titles);
         if self.compared.iter().any(|&rollouts| rollouts < self.windows) {
             table.row("rollouts with truth", self.compared.iter().map(usize::to_string));

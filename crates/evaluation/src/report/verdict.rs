@@ -57,6 +57,7 @@ impl Report {
         let far_off = entry.blow_ups.far_off;
         sentences.push(match entry.blow_ups.any {
             0 => format!("None of {all} blows up, {far_off} end far off."),
+            1 => format!("1 of {all} blows up, {far_off} end far off."),
             count => format!("{count} of {all} blow up, {far_off} end far off."),
         });
         if let Some(cost) = &entry.cost {

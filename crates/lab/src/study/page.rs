@@ -68,7 +68,7 @@ impl StudyReport {
         section.paragraph(
             "Before a rollout, a network observes as many frames as in its training windows; in the column that says so, all \
              frames of the stream, as in a node. Errors are mean squared errors of x, y, vx, vy, each divided by its range in the training part. Skill is 1 - \
-             squared position error / squared position error of the best baseline (persistence, constant velocity, \
+             squared position error / squared position error of the best trivial predictor (persistence, constant velocity, \
              ballistic). Intervals are 95 % percentile bootstrap intervals: 1,000 resamples of scenes and seeds; with \
              fewer than five scenes there is none.",
         );

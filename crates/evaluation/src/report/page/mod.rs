@@ -1,20 +1,20 @@
 //! The report as an HTML page.
 //!
 //! 1. `summary`: skill, seeds and remarks.
-//! 2. `paper`: the paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
-//! 3. `errors`: free-rollout and one-step errors over the frames ahead.
-//! 4. `physics`: density, kinetic energy, centre of mass, share outside the walls.
-//! 5. `settled`: slow and settled states in long rollouts.
-//! 6. `pictures`: pictures of rollouts (Fig. 7).
-//! 7. `kinds`: results by kind of scene and by material.
+//! 2. `errors`: free-rollout and one-step errors over the frames ahead.
+//! 3. `physics`: density, kinetic energy, centre of mass, share outside the walls.
+//! 4. `settled`: slow and settled states in long rollouts.
+//! 5. `pictures`: pictures of rollouts (Fig. 7).
+//! 6. `kinds`: results by kind of scene and by material.
+//! 7. `by_scene`: the paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
 //! 8. `cost`: time per frame.
 //! 9. `reliability`: how well estimates of errors hold.
 //! 10. `reproduce`: command, data and settings.
 
+mod by_scene;
 mod cost;
 mod errors;
 mod kinds;
-mod paper;
 mod physics;
 mod pictures;
 mod reliability;
@@ -55,7 +55,6 @@ impl Report {
             verdict.paragraph(&winner);
         }
         self.summary(page.section("Summary"));
-        self.paper(page.section("Scene by scene: the paper's Tables 2 and 3"));
         self.error_curves(page.section("Errors over the frames ahead"));
         self.step_errors(page.section("One-step, accumulated and free-rollout error"));
         if self.has_measures() {
@@ -68,6 +67,7 @@ impl Report {
             self.pictures(page.section("Truth and prediction"))?;
         }
         self.by_kind(page.section("By kind of scene and by material"));
+        self.by_scene(page.section("Scene by scene"));
         if self.has_costs() {
             self.cost(page.section("Inference time"));
         }

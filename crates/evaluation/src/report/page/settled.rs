@@ -51,7 +51,7 @@ impl Report {
                 .filter_map(|(_, settled)| settled.as_ref().map(of))
                 .fold(f64::INFINITY, f64::min)
         };
-        let against = format!("largest / best baseline's (below {EQUAL} is equal)");
+        let against = format!("largest / best trivial predictor's (below {EQUAL} is equal)");
         let mut table = self.kinds_table(caption, &[&against]);
         for number in self.settled_predictors() {
             let error_in = |scene: &SceneEntry| settled_of(scene, number).map_or(f64::NAN, of);

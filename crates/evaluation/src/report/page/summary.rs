@@ -11,9 +11,9 @@ use eddy_pages::{Axis, LinePlot, Section, Series, Table};
 impl Report {
     pub(super) fn summary(&self, section: &mut Section) {
         section.paragraph(
-            "Skill is 1 - squared position error / squared position error of the best baseline (persistence, constant \
+            "Skill is 1 - squared position error / squared position error of the best trivial predictor (persistence, constant \
              velocity or ballistic flight), both summed over the rollouts of a kind of scenes, averaged over kinds. A \
-             skill of 1 is a perfect prediction, 0 is no better than the best baseline at that frame.",
+             skill of 1 is a perfect prediction, 0 is no better than the best trivial predictor at that frame.",
         );
         for note in &self.notes {
             section.note(note);
@@ -117,7 +117,7 @@ impl Report {
         Some(table)
     }
 
-    /// Whether there are several checkpoints, of one model or of several.
+    /// Whether there are several checkpoints, of one model or of several, or rollouts of other programs.
     pub(in super::super) fn has_several_checkpoints(&self) -> bool {
         self.groups.iter().map(|group| group.members.len()).sum::<usize>() > 1
     }

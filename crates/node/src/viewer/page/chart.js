@@ -1,4 +1,4 @@
-// Two curves on a logarithmic axis: the error of the model and of the best baseline.
+// Two curves on a logarithmic axis: the error of the model and of the best trivial predictor.
 
 const MARGIN = { left: 46, right: 12, top: 22, bottom: 40 };
 
@@ -96,7 +96,7 @@ export function draw(canvas, rows, { title, baseline, colours, decimals = 1, gap
 
   pen.textAlign = "left";
   let at = MARGIN.left;
-  const best = width > 420 && baseline ? `best baseline: ${baseline}` : "best baseline";
+  const best = width > 420 && baseline ? `best trivial: ${baseline}` : "best trivial";
   for (const [name, colour, dashes] of [["model", colours.model, []], [best, colours.baseline, [6, 4]]]) {
     pen.strokeStyle = colour;
     pen.setLineDash(dashes);
@@ -110,5 +110,5 @@ export function draw(canvas, rows, { title, baseline, colours, decimals = 1, gap
     at += 44 + pen.measureText(name).width;
   }
   const [, model, other] = rows.at(-1);
-  return `error ${model.toExponential(1)}${other == null ? "" : `, best baseline ${other.toExponential(1)}`}`;
+  return `error ${model.toExponential(1)}${other == null ? "" : `, best trivial ${other.toExponential(1)}`}`;
 }

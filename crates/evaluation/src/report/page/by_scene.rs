@@ -1,4 +1,4 @@
-//! The paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
+//! Errors scene by scene: the paper's Tables 2 and 3, and its curves of single scenes (Figs. 4, 8 and 9).
 
 use super::{
     super::{
@@ -27,12 +27,12 @@ const ERRORS: [Error; 3] = [
 ];
 
 impl Report {
-    pub(super) fn paper(&self, section: &mut Section) {
+    pub(super) fn by_scene(&self, section: &mut Section) {
         let frames = self.paper_frames();
         section.paragraph(&format!(
             "The mean error of frames 1 to {frames} of free rollouts and the error at frame {frames}, averaged over all \
-             rollouts of a scene. The lowest error of each row is bold. The unit of the paper's MSE is unknown, so only \
-             the order of the models can be compared with it."
+             rollouts of a scene. The lowest error of each row is bold. Tables of this form are in the MinRNN paper; the \
+             unit of its MSE is unknown, so only the order of the models can be compared with it."
         ));
         for (title, of_table) in self.paper_tables() {
             if of_table.is_empty() {
@@ -55,7 +55,7 @@ impl Report {
                 }
             });
         }
-        section.heading("Error curves of single scenes (the paper's Figs. 4, 8 and 9)");
+        section.heading("Error curves of single scenes");
         for (title, of_table) in self.paper_tables() {
             let plots: Vec<LinePlot> = evenly(&of_table, PLOT_SCENES)
                 .into_iter()
@@ -72,7 +72,7 @@ impl Report {
         let of = |liquid: bool| {
             self.scenes.iter().filter(move |scene| (scene.kind == Kind::Liquid) == liquid).collect()
         };
-        [("Fluid scenes (Table 2)", of(true)), ("Scenes of other materials (Table 3)", of(false))]
+        [("Scenes of liquid", of(true)), ("Scenes of other materials", of(false))]
     }
 
     /// Frames ahead in the tables: the paper's twenty, or the horizon if shorter.
