@@ -19,9 +19,6 @@ use crate::{
 };
 use eddy_frames::State;
 
-/// Width of the lines of tables (characters).
-const TABLE_COLUMNS: usize = 80;
-
 /// The result of an evaluation.
 #[pyclass(frozen, module = "eddy")]
 pub(crate) struct Report {
@@ -35,9 +32,10 @@ impl Report {
         values::render(py, &self.inner)
     }
 
-    /// The tables that `eddy eval` prints.
-    fn tables(&self) -> String {
-        self.inner.tables(TABLE_COLUMNS)
+    /// The tables that `eddy eval` prints, in lines of at most `columns` characters.
+    #[pyo3(signature = (columns=80))]
+    fn tables(&self, columns: usize) -> String {
+        self.inner.tables(columns)
     }
 
     /// Writes report.html, report.json and tables into a folder.
@@ -73,7 +71,8 @@ impl Request {
         skipped: &Mutex<Vec<UnusableFrame>>,
     ) -> Result<Evaluation, String> {
         let load = |path: &PathBuf| {
-            let checkpoint = Checkpoint::load(path).map_err(|error| error.to_string())?;
+            let checkpoint =
+                Checkpoint::load_or_shipped(Some(path)).map_err(|error| error.to_string())?;
             Ok::<_, String>((path.display().to_string(), checkpoint))
         };
         let mut checkpoints = self.checkpoints.iter().map(load).collect::<Result<Vec<_>, _>>()?;

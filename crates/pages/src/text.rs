@@ -9,19 +9,23 @@ use super::Table;
 
 impl Table {
     /// The table in a frame below its caption, in lines of at most `columns` characters. Columns that do not fit follow
-    /// below, with the names of the rows again; long names are wrapped.
+    /// below, with the caption and the names of the rows again; long names are wrapped.
     pub fn framed(&self, columns: usize) -> String {
-        let table = self.text(presets::UTF8_BORDERS_ONLY, 0, columns);
-        format!("{}\n{table}", wrapped(self.caption(), columns))
+        let parts = self.parts(presets::UTF8_BORDERS_ONLY, 0, columns);
+        let titled = parts.iter().enumerate().map(|(number, part)| {
+            let continued = if number > 0 { " (continued)" } else { "" };
+            format!("{}\n{part}", wrapped(&format!("{}{continued}", self.caption()), columns))
+        });
+        titled.collect::<Vec<_>>().join("\n")
     }
 
     /// The same without frame and caption.
     pub fn plain(&self, columns: usize) -> String {
-        self.text(presets::NOTHING, 1, columns)
+        self.parts(presets::NOTHING, 1, columns).join("\n")
     }
 
-    /// `padding` at the left of all columns but the first makes them two characters apart in this style.
-    fn text(&self, style: TableStyle, padding: u16, columns: usize) -> String {
+    /// Tables of the columns that fit beside each other. `padding` is at the left of all columns but the first makes them two characters apart in this style.
+    fn parts(&self, style: TableStyle, padding: u16, columns: usize) -> Vec<String> {
         let rows: Vec<Vec<&str>> = self.rows().collect();
         let titles: Vec<&str> = self.header().iter().map(String::as_str).collect();
         let part = |from: usize, to: usize| {
@@ -63,7 +67,7 @@ impl Table {
             }
             parts.push(fitting.trim_fmt());
             if to >= titles.len() {
-                return parts.join("\n");
+                return parts;
             }
             from = to;
         }
@@ -133,6 +137,9 @@ speed of vehicles
         }
         let narrow = speeds().plain(30);
         assert_eq!(narrow.matches("cars").count(), 2, "{narrow}");
+        let narrow = speeds().framed(40);
+        assert!(narrow.starts_with("speed of vehicles\n"), "{narrow}");
+        assert!(narrow.contains("\nspeed of vehicles (continued)\n"), "{narrow}");
     }
 
     #[test]
