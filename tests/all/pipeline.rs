@@ -12,7 +12,7 @@ fn ground_truth_becomes_a_surrogate_that_is_judged_and_predicts() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     simulate(folder.path().join("mm").as_path(), 3, 0.8);
 
-    fs::write(path("train.toml"), "windows.per_epoch = 192\n").unwrap();
+    fs::write(path("train.toml"), "windows.per_epoch = 512\n").unwrap();
     let (data, model, config) = (path("mm"), path("model"), path("train.toml"));
     let train =
         ["train", "--data", &data, "--output", &model, "--epochs", "3", "--config", &config];
