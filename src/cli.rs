@@ -14,7 +14,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{
     Args, CommandFactory, Parser, Subcommand,
-    error::{ContextKind, ContextValue},
+    error::{ContextKind, ContextValue, ErrorKind},
 };
 use clap_complete::Shell;
 use regex::Regex;
@@ -132,6 +132,11 @@ fn rejected(error: &clap::Error) -> ! {
         && OF_THE_LAB.contains(&word.as_str())
     {
         eprintln!("eddy: {word} is a command of the program eddy-lab: `eddy-lab {word} ...`");
+        std::process::exit(error.exit_code());
+    }
+    if error.kind() == ErrorKind::InvalidSubcommand {
+        let _ = error.print();
+        eprintln!("`eddy help TOPIC` explains {}.", topics::listed());
         std::process::exit(error.exit_code());
     }
     error.exit()

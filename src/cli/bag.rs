@@ -29,10 +29,11 @@ pub enum BagCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Read every message of a bag and list all problems; exit code 1 if there are any.
+    /// Read every message of bags and list all problems; exit code 1 if there are any.
     Check {
-        /// Bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
+        /// Bags, or directories of bags.
+        #[arg(required = true, value_name = "BAG")]
+        bags: Vec<PathBuf>,
     },
     /// Copy what can be read of a damaged or unfinished bag into a new one; exit code 3 if data was lost, 1 if nothing can
     /// be read.

@@ -15,8 +15,8 @@ pub const DEFAULT_HORIZON: usize = 100;
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// Checkpoints to evaluate side by side, with the gain of each model over the first; those of one network from trainings on
-    /// the same data with different seeds, all or none of them with --from, count as seeds of one model
-    /// [default: none; required without --compare].
+    /// the same data with different seeds, all or none of them with --from, count as seeds of one model. particle-mingru is the
+    /// shipped one [default: none; required without --compare].
     #[arg(long, value_name = "DIR", required_unless_present = "compare", num_args = 1..)]
     pub checkpoint: Vec<PathBuf>,
     /// Bags, or directories of bags [default: none; required without --compare].

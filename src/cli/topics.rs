@@ -95,6 +95,11 @@ pub(super) fn with_topics(command: Command) -> Command {
     command.help_template(screen).subcommands(topics)
 }
 
+/// The names of the topics, for a sentence.
+pub(super) fn listed() -> String {
+    TOPICS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
+}
+
 /// A template of clap's.
 fn first_screen(command: &Command) -> String {
     let mut text = "{about}\n\n{usage-heading} {usage}\n".to_owned();
@@ -109,12 +114,12 @@ fn first_screen(command: &Command) -> String {
     let first = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
     let names = command.get_subcommands().map(Command::get_name).filter(|name| !first(name));
     let others = names.collect::<Vec<_>>().join(", ");
-    let topics = TOPICS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
     write!(
         text,
         "\nMore commands: {others}\n\
-        `eddy help COMMAND` explains a command, `eddy help TOPIC` one of {topics}.\n\n\
-        Global options:\n{{options}}"
+        `eddy help COMMAND` explains a command, `eddy help TOPIC` one of {}.\n\n\
+        Global options:\n{{options}}",
+        listed()
     )
     .expect("memory");
     text

@@ -6,7 +6,7 @@ use anyhow::{anyhow, bail};
 
 use super::{node::summary, streams, surrogate};
 use crate::cli::PredictArgs;
-use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions};
+use eddy_bag::{BagError, BagReader, BagWriter, TopicId, WriterOptions, custom_data::Quantity};
 use eddy_cli::{Interrupt, Output, OutputKind};
 use eddy_dataset::DatasetError;
 use eddy_evaluation::EvaluationError;
@@ -32,7 +32,12 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
 
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
-    let mut predictions = Predictions { output: &args.output, written: None };
+    // What the bag states of its matter is so of the predictions.
+    let stated = Quantity::ALL.into_iter().filter_map(|stated| {
+        Some((stated.key().to_owned(), reader.custom_data().get(stated.key())?.clone()))
+    });
+    let mut predictions =
+        Predictions { output: &args.output, stated: stated.collect(), written: None };
     let mut failure = None;
     for message in reader.messages_of(&args.topic, ParticleFrame::TYPE)? {
         if interrupt.requested() {
@@ -59,7 +64,10 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     }
     let is_empty = !predictions.finish()?;
     let input = args.input.display();
-    node.rejections().totals().iter().for_each(|total| tracing::warn!("{input}: {total}"));
+    // Without predictions, the error below says why.
+    if !is_empty {
+        node.rejections().totals().iter().for_each(|total| tracing::warn!("{input}: {total}"));
+    }
     if !quiet && !is_empty {
         println!("{}: {}", args.output.display(), summary(&node));
     }
@@ -107,6 +115,8 @@ fn open(args: &PredictArgs) -> anyhow::Result<(BagReader, SurrogateNode)> {
 /// The bag of the predictions. It begins with the first one, so that there is no empty bag.
 struct Predictions<'a> {
     output: &'a Path,
+    /// Entries of its `custom_data`.
+    stated: Vec<(String, String)>,
     written: Option<(BagWriter, TopicId)>,
 }
 
@@ -132,6 +142,7 @@ impl Predictions<'_> {
             Some(open) => open,
             none => {
                 let mut writer = BagWriter::create(self.output, WriterOptions::default())?;
+                writer.extend_custom_data(std::mem::take(&mut self.stated));
                 let topic = writer.topic(PREDICTION, ParticleFrame::TYPE)?;
                 none.insert((writer, topic))
             }

@@ -386,6 +386,18 @@ fn equal_findings_are_grouped_and_a_loop_is_no_damage() {
     );
     assert!(error.contains("gaps: 6 problems found"), "{error}");
 
+    let unreadable = folder.path().join("unreadable");
+    write(&unreadable, &[0]);
+    fs::write(unreadable.join("metadata.yaml"), "not: a bag").unwrap();
+    let output = eddy().args(["bag", "check"]).arg(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let (said, error) = (String::from_utf8(output.stdout), String::from_utf8(output.stderr));
+    let (said, error) = (said.unwrap(), error.unwrap());
+    assert!(said.contains("gaps: 6 problems found"), "{said}");
+    assert!(said.contains("looped: 60 messages, no problems found"), "{said}");
+    assert!(said.contains("unreadable/metadata.yaml"), "{said}");
+    assert!(error.contains("2 of 3 bags have problems"), "{error}");
+
     let text = succeed(["bag", "info", path.to_str().unwrap()]);
     assert!(text.contains("start        2023-11-14T22:13:20Z (1700000000.000000000 s)"), "{text}");
     let json = succeed(["bag", "info", path.to_str().unwrap(), "--json"]);

@@ -93,7 +93,7 @@ pub enum InvalidLink {
     },
     /// The transport is unknown.
     #[error(
-        "link transport: found `{found}`, expected memory, shm, zenoh or dds{}",
+        "link transport: found `{found}`, expected shm, zenoh or dds{}",
         near::hint(found, TransportKind::ALL.map(TransportKind::name))
     )]
     Transport {

@@ -1,16 +1,52 @@
 //! `eddy bag check`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::bail;
+use anyhow::{anyhow, bail};
 
 use super::survey;
 use crate::commands::counted;
-use eddy_bag::{BagReader, Survey};
-use eddy_cli::terminal::on_one_line;
+use eddy_bag::{BagError, BagReader, Survey, find_bags};
+use eddy_cli::{Interrupt, terminal::on_one_line};
 
-/// Prints all problems of a bag.
-pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
+/// Prints all problems of all bags.
+pub fn run(paths: &[PathBuf], quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
+    let mut bags = Vec::new();
+    for path in paths {
+        bags.extend(bags_at(path)?);
+    }
+    if let [only] = &bags[..] {
+        return check(only, quiet)?.map_err(|problems| anyhow!(problems));
+    }
+    let mut damaged = 0;
+    for bag in &bags {
+        if interrupt.requested() {
+            bail!("interrupted");
+        }
+        // A bag that cannot be read hides nothing of the others.
+        let checked = check(bag, quiet).unwrap_or_else(|error| Err(format!("{error:#}")));
+        if let Err(problems) = checked {
+            println!("{}", on_one_line(&problems));
+            damaged += 1;
+        }
+    }
+    match damaged {
+        0 => Ok(()),
+        _ => bail!("{damaged} of {} bags have problems", bags.len()),
+    }
+}
+
+/// The bag at a path, or the bags in a directory that is none itself.
+fn bags_at(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    match BagReader::open(path) {
+        Err(none @ BagError::NotABag { .. }) => find_bags(&[path.into()]).map_err(|_| none),
+        Err(other) => Err(other),
+        Ok(_) => Ok(vec![path.into()]),
+    }
+}
+
+/// Prints all problems of a bag. The error says how many there are.
+fn check(path: &Path, quiet: bool) -> anyhow::Result<Result<(), String>> {
     let bag = BagReader::open(path)?;
     let mut survey = survey(&bag, quiet);
     survey.check_files(&bag);
@@ -21,14 +57,13 @@ pub fn run(path: &Path, quiet: bool) -> anyhow::Result<()> {
         println!("... and {} more", survey.further_findings);
     }
     print_remarks(&bag, &survey);
-    match survey.finding_count() {
-        0 => {}
-        1 => bail!("{}: 1 problem found", path.display()),
-        findings => bail!("{}: {findings} problems found", path.display()),
+    let findings = survey.finding_count();
+    if findings > 0 {
+        return Ok(Err(format!("{}: {} found", path.display(), counted(findings, "problem"))));
     }
     let messages = counted(bag.message_count(), "message");
     println!("{}: {messages}, no problems found", path.display());
-    Ok(())
+    Ok(Ok(()))
 }
 
 /// Prints what is no damage: which streams restart, and in which the number of particles changes.

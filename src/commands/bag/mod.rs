@@ -35,7 +35,7 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         // Replaced by `eddy replay` and `eddy record` when the command line is read.
         BagCommand::Play(_) | BagCommand::Record(_) => Ok(()),
         BagCommand::Info { bag, json } => info::run(&bag, json, quiet),
-        BagCommand::Check { bag } => check::run(&bag, quiet),
+        BagCommand::Check { bags } => check::run(&bags, quiet, interrupt),
         BagCommand::Export(args) if args.cloud => edit::export_cloud(args, quiet, interrupt),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),
         BagCommand::Import(args) => import::run(args, quiet, interrupt),

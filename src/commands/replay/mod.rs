@@ -16,7 +16,8 @@ use crate::cli::ReplayArgs;
 use eddy_bag::{BagMessage, BagReader};
 use eddy_cli::{Interrupt, terminal};
 use eddy_frames::{Stamp, clock::Clock};
-use eddy_inference::checkpoint::Checkpoint;
+use eddy_inference::{checkpoint::Checkpoint, engine::Stated};
+use eddy_messages::{Message as _, ParticleFrame};
 use eddy_node::{
     PendingCommand, PlaybackSink, Player, PlayerOptions, play,
     player::{
@@ -106,6 +107,14 @@ fn show_topics(bag: &BagReader, outputs: &TopicOutputs) -> anyhow::Result<()> {
         outputs.topics().iter().map(|topic| &topic.planned)
     {
         println!("publishing {} on {link} ({})", name.escape_debug(), support.name);
+        if support.name == ParticleFrame::TYPE
+            && let Ok(Stated { stiffness: Some(stiffness), .. }) =
+                eddy_dataset::stated_by(bag, name)
+        {
+            println!(
+                "  stiffness {stiffness}, which frames do not say: eddy node --stiffness {stiffness}"
+            );
+        }
     }
     if outputs.topics().is_empty() {
         let reasons = outputs.left_out().join("; ");

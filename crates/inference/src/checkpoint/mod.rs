@@ -57,6 +57,9 @@ use sha2::{Digest, Sha256};
 
 use crate::error_model::{self, ERROR_MODEL_FILE, ErrorModel};
 
+/// The name of [`Checkpoint::shipped`].
+const SHIPPED_NAME: &str = "particle-mingru";
+
 /// A trained network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
@@ -142,12 +145,15 @@ impl Checkpoint {
         Ok(Self { error_model: Some(error_model), ..checkpoint })
     }
 
-    /// The checkpoint at `path`, by default [`Checkpoint::shipped`].
+    /// The checkpoint at `path`; [`Checkpoint::shipped`] by default, and by its name where there is no such directory.
     ///
     /// # Errors
     /// As [`Checkpoint::load`].
     pub fn load_or_shipped(path: Option<&Path>) -> Result<Self, CheckpointError> {
-        path.map_or_else(Self::shipped, Self::load)
+        match path {
+            Some(path) if path != Path::new(SHIPPED_NAME) || path.exists() => Self::load(path),
+            _ => Self::shipped(),
+        }
     }
 
     /// Parses the contents of the first two files; errors name `directory`.

@@ -198,7 +198,7 @@ impl clap::ValueEnum for DeviceKind {
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         let value = clap::builder::PossibleValue::new(self.name());
         Some(match self {
-            Self::Flex => value.help("CPU through burn-flex"),
+            Self::Flex => value.alias("cpu").help("CPU through burn-flex"),
             Self::Ndarray => {
                 value.help("CPU through burn-ndarray; deprecated upstream, kept for comparison")
             }
