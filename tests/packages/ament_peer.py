@@ -162,14 +162,19 @@ def check_rclpy_node() -> None:
     print(f"ament_peer.py: rclpy_node.py: {count} predictions, equal to those of eddy.Surrogate")
 
 
+def files_of(page: str) -> Path:
+    """A folder with the Python files that a page of the documentation shows."""
+    folder = WORK / Path(page).stem
+    folder.mkdir()
+    text = (CHECKOUT / "docs" / "src" / page).read_text()
+    for name, content in re.findall(r"^```python (\S+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        (folder / name).write_text(content)
+    return folder
+
+
 def check_documented_publisher() -> None:
     """The publisher of the page on one's own simulation, from the page: its frames are those of the simulation."""
-    page = (CHECKOUT / "docs" / "src" / "own_simulation.md").read_text()
-    folder = WORK / "own_simulation"
-    folder.mkdir()
-    files = re.findall(r"^```python (\S+)\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    for name, text in files:
-        (folder / name).write_text(text)
+    folder = files_of("own_simulation.md")
     listener = Listener("/particles")
     publisher = subprocess.Popen([sys.executable, folder / "publisher.py"], cwd=folder)
     try:
@@ -188,6 +193,24 @@ def check_documented_publisher() -> None:
     print(f"ament_peer.py: own_simulation.md: {len(listener.frames)} frames of the page's publisher")
 
 
+def check_documented_subscriber() -> None:
+    """The subscriber of the page on ROS 2 reads what a node with the default quality of service predicts."""
+    folder = files_of("how-to/ros.md")
+    node = subprocess.Popen([program(), "--quiet", "node", "--input", "dds:/particles", "--output", "dds:/prediction"])
+    words = [program(), "--quiet", "replay", SAMPLE, "--to", "dds", "--wait-for", "1", "--loop"]
+    replay = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    waiting, said = rclpy.create_node("waiting"), folder / "said"
+    with said.open("w") as output:
+        subscriber = subprocess.Popen([sys.executable, folder / "subscriber.py"], stdout=output)
+    try:
+        spin_until([waiting], "ten frames of the subscriber", lambda: said.read_text().count("the first particle is at") >= 10)
+    finally:
+        for process in (subscriber, replay, node):
+            stop(process)
+    waiting.destroy_node()
+    print(f"ament_peer.py: ros.md: the page's subscriber: {said.read_text().splitlines()[0]}")
+
+
 def main() -> None:
     check_hashes()
     nodes = check_layout()
@@ -195,6 +218,7 @@ def main() -> None:
     check_rclpy_node()
     check_launched_node(nodes)
     check_documented_publisher()
+    check_documented_subscriber()
     rclpy.shutdown()
 
 
