@@ -181,7 +181,9 @@ pub fn diagnostics() -> String {
     let mut text = format!(
         "# Diagnostics and parameters\n\nA node publishes `diagnostic_msgs/msg/DiagnosticArray` on `/diagnostics` once a second. The level is \
          ERROR if a prediction was not finite since the last message, WARN if a frame was rejected (the message gives the reason), skipped in a free run or lost, or if \
-         the error of a prediction is expected to exceed `max_expected_error`, and OK otherwise.\n\n\
+         the error of a prediction is expected to exceed `max_expected_error`, and OK otherwise. Level \
+         and message are about the last second, counters about all since the start: if all is OK and nothing is published, read \
+         the counters.\n\n\
          A frame without a prediction is *rejected* if it cannot be used, *lost* if the network never saw it (in a gap of the stream, in the node's queue, in transport), or *of other members* of a group.\n\n## Values\n\n| key | values | |\n|---|---|---|\n\
          | `rate (1/s)` | number | Predictions per second since the last message. |\n\
          | `latency p50 (ms)` | number | Median time from the arrival of a frame to the publication of its predictions. |\n\

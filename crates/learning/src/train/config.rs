@@ -35,7 +35,7 @@ pub struct TrainConfig {
     /// Number of epochs without a better validation loss after which training stops early, but not before the last stage of
     /// `unroll` has begun.
     pub patience: u32,
-    /// Gravity in the data (domain lengths per second squared). Bags do not contain it.
+    /// Gravity in the data (domain lengths per second squared). Frames do not contain it; a bag that states another one as eddy_gravity is warned of.
     pub gravity: [f32; 2],
     /// Particle model: Young's modulus of jelly (density x velocity^2) for the rule `elastic`, .3 E of the scenes, 300 where E = 1e3; for a
     /// network that is conditioned on the stiffness, relative to a stream's, .3; 0: without the rule.
