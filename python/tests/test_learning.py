@@ -120,9 +120,9 @@ def test_rollouts_of_another_predictor_are_judged_beside_a_model(tmp_path: Path,
     skill = {entry["name"]: entry["skill"] for entry in report["predictors"]}
     assert skill["true"] == [1.0] * horizon
     assert skill["still"] == skill["persistence"]
-    first, second = report["groups"]
-    assert [first["name"], second["name"]] == ["still", "true"]
-    assert second["gain"]["gain"] == pytest.approx([1.0 - still for still in skill["still"]])
+    model, *others = report["groups"]
+    assert [group["name"] for group in others] == ["still", "true"]
+    assert others[1]["gain"]["gain"] == pytest.approx([1.0 - of_model for of_model in model["skill"]])
 
     with eddy.BagWriter(tmp_path / "wrong") as writer, pytest.raises(ValueError, match="source_sequence: found 3, expected below 3"):
         writer.write_prediction(eddy.Frame(shown.position, shown.velocity, "jelly", sequence=3), 3)

@@ -153,7 +153,7 @@ def test_another_thread_may_stop_it() -> None:
     ("options", "message"),
     [
         ({"input": "zenoh"}, "link: found `zenoh`, expected transport:topic"),
-        ({"input": "tcp:/a"}, "link transport: found `tcp`, expected memory, shm, zenoh or dds"),
+        ({"input": "tcp:/a"}, "link transport: found `tcp`, expected shm, zenoh or dds"),
         ({"input": "memory:/a"}, "memory:/a: found memory, expected shm, zenoh or dds"),
         ({"output": []}, "output: found no links, expected at least 1"),
         ({"output": "zenoh:particles"}, "output: found zenoh:/particles, which is the input"),

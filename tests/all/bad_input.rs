@@ -176,10 +176,7 @@ fn a_link_that_no_other_process_can_meet_is_refused() {
 
 #[test]
 fn wrong_usage_is_exit_code_2() {
-    says(
-        &fail(2, ["node", "--input", "tcp:/particles"]),
-        &["found `tcp`", "shm, zenoh or dds"],
-    );
+    says(&fail(2, ["node", "--input", "tcp:/particles"]), &["found `tcp`", "shm, zenoh or dds"]);
     says(&fail(2, ["simulate"]), &["--output"]);
     for (typed, words) in [
         ("simulate --scenes 0 --output o", &["'0'", "--scenes"][..]),
