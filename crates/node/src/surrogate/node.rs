@@ -446,7 +446,10 @@ impl SurrogateNode {
         }
         self.step(arrivals, batch, output);
         self.start(&frame.to_frame())?;
-        if is_other_count && !self.warnings.iter().any(|said| *said == (stream, OTHER_COUNT.into()))
+        // A full list says no more, so that many streams do not fill the log.
+        if is_other_count
+            && self.warnings.len() < MAX_WARNINGS
+            && !self.warnings.contains(&(stream, OTHER_COUNT.to_owned()))
         {
             self.warn(stream, OTHER_COUNT.to_owned());
         }
