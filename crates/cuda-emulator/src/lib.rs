@@ -59,20 +59,12 @@ struct Exchange {
 
 impl Group {
     fn exchange(&self) -> MutexGuard<'_, Exchange> {
-        lock(&self.exchange)
+        self.exchange.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// A panic of one test is none of the others.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// A compiled library, once the first who needs it has compiled it. Others are compiled meanwhile.
-type Slot = Arc<Mutex<Option<Arc<Mutex<Library>>>>>;
-
 /// Compiled libraries by their text.
-type Libraries = HashMap<String, Slot>;
+type Libraries = HashMap<String, Arc<Mutex<Library>>>;
 
 /// Those of this process, whose tests share them.
 static LIBRARIES: OnceLock<Mutex<Libraries>> = OnceLock::new();
@@ -84,13 +76,15 @@ impl Emulator {
     /// [`CudaError::Compile`] with what g++ says, or that there is none.
     pub fn new(program: &dyn Program) -> Result<Self> {
         let source = text(program);
-        let known = LIBRARIES.get_or_init(Mutex::default);
-        let slot = lock(known).entry(source.clone()).or_default().clone();
-        let mut slot = lock(&slot);
-        let library = match &mut *slot {
-            Some(library) => library.clone(),
-            none => none.insert(Arc::new(Mutex::new(compile(&source)?))).clone(),
-        };
+        let mut known = LIBRARIES
+            .get_or_init(Mutex::default)
+            .lock()
+            .unwrap_or_else(|broken| broken.into_inner());
+        if let Some(library) = known.get(&source) {
+            return Ok(Self { library: library.clone(), tf32: false, peers: None });
+        }
+        let library = Arc::new(Mutex::new(compile(&source)?));
+        known.insert(source, library.clone());
         Ok(Self { library, tf32: false, peers: None })
     }
 }
@@ -242,7 +236,7 @@ impl Device for Emulator {
         let grid = shape.grid.map(|size| size as u32);
         let block = shape.block.map(|size| size as u32);
         let name = CString::new(kernel).expect("the name of a kernel");
-        let library = lock(&self.library);
+        let library = self.library.lock().unwrap_or_else(|broken| broken.into_inner());
         // SAFETY: the library has this function, see `text`; the arguments are the caller's promise.
         let found = unsafe {
             let launch = library
