@@ -32,9 +32,9 @@ pub fn run(args: PredictArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Res
 
     let room =
         Output::at(&args.output, OutputKind::Bag, args.force, std::slice::from_ref(&args.input))?;
-    // What the bag states of its matter is so of the predictions.
-    let stated = Quantity::ALL.into_iter().filter_map(|stated| {
-        Some((stated.key().to_owned(), reader.custom_data().get(stated.key())?.clone()))
+    // Stiffness and gravity of the predictions are those of the bag.
+    let stated = Quantity::ALL.into_iter().filter_map(|quantity| {
+        Some((quantity.key().to_owned(), reader.custom_data().get(quantity.key())?.clone()))
     });
     let mut predictions =
         Predictions { output: &args.output, stated: stated.collect(), written: None };

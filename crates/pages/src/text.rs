@@ -24,7 +24,8 @@ impl Table {
         self.parts(presets::NOTHING, 1, columns).join("\n")
     }
 
-    /// Tables of the columns that fit beside each other. `padding` is at the left of all columns but the first makes them two characters apart in this style.
+    /// The table in parts, each with the columns that fit beside each other. `padding` at the left of all columns but the first makes
+    /// them two characters apart in this style.
     fn parts(&self, style: TableStyle, padding: u16, columns: usize) -> Vec<String> {
         let rows: Vec<Vec<&str>> = self.rows().collect();
         let titles: Vec<&str> = self.header().iter().map(String::as_str).collect();

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{anyhow, bail};
+use anyhow::bail;
 
 use super::survey;
 use crate::commands::counted;
@@ -16,17 +16,16 @@ pub fn run(paths: &[PathBuf], quiet: bool, interrupt: &Interrupt) -> anyhow::Res
         bags.extend(bags_at(path)?);
     }
     if let [only] = &bags[..] {
-        return check(only, quiet)?.map_err(|problems| anyhow!(problems));
+        return check(only, quiet);
     }
     let mut damaged = 0;
     for bag in &bags {
         if interrupt.requested() {
             bail!("interrupted");
         }
-        // A bag that cannot be read hides nothing of the others.
-        let checked = check(bag, quiet).unwrap_or_else(|error| Err(format!("{error:#}")));
-        if let Err(problems) = checked {
-            println!("{}", on_one_line(&problems));
+        // The others are checked all the same.
+        if let Err(error) = check(bag, quiet) {
+            println!("{}", on_one_line(&format!("{error:#}")));
             damaged += 1;
         }
     }
@@ -36,7 +35,7 @@ pub fn run(paths: &[PathBuf], quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     }
 }
 
-/// The bag at a path, or the bags in a directory that is none itself.
+/// The bag at a path, or the bags in a directory that is not a bag itself.
 fn bags_at(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     match BagReader::open(path) {
         Err(none @ BagError::NotABag { .. }) => find_bags(&[path.into()]).map_err(|_| none),
@@ -46,7 +45,7 @@ fn bags_at(path: &Path) -> Result<Vec<PathBuf>, BagError> {
 }
 
 /// Prints all problems of a bag. The error says how many there are.
-fn check(path: &Path, quiet: bool) -> anyhow::Result<Result<(), String>> {
+fn check(path: &Path, quiet: bool) -> anyhow::Result<()> {
     let bag = BagReader::open(path)?;
     let mut survey = survey(&bag, quiet);
     survey.check_files(&bag);
@@ -59,11 +58,11 @@ fn check(path: &Path, quiet: bool) -> anyhow::Result<Result<(), String>> {
     print_remarks(&bag, &survey);
     let findings = survey.finding_count();
     if findings > 0 {
-        return Ok(Err(format!("{}: {} found", path.display(), counted(findings, "problem"))));
+        bail!("{}: {} found", path.display(), counted(findings, "problem"));
     }
     let messages = counted(bag.message_count(), "message");
     println!("{}: {messages}, no problems found", path.display());
-    Ok(Ok(()))
+    Ok(())
 }
 
 /// Prints what is no damage: which streams restart, and in which the number of particles changes.

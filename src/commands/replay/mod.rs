@@ -112,7 +112,7 @@ fn show_topics(bag: &BagReader, outputs: &TopicOutputs) -> anyhow::Result<()> {
                 eddy_dataset::stated_by(bag, name)
         {
             println!(
-                "  stiffness {stiffness}, which frames do not say: eddy node --stiffness {stiffness}"
+                "  stiffness {stiffness}; frames do not contain it: eddy node --stiffness {stiffness}"
             );
         }
     }

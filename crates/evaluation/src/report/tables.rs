@@ -30,7 +30,7 @@ impl Report {
             table.row(entry.name.as_str(), skills.chain(cost));
         }
         let mut text = table.framed(columns) + "\n";
-        if self.has_several_checkpoints() {
+        if self.has_several_models() {
             let seeds = self.seed_table().map(|table| format!("{}\n", table.framed(columns)));
             text.extend(seeds);
         }

@@ -35,8 +35,8 @@ const MAX_CATCH_UP: u32 = 16;
 
 /// Streams of which it is remembered that the model's warnings were logged.
 const MAX_WARNED: usize = 4096;
-/// Once a stream.
-const OTHER_COUNT: &str = "the number of particles has changed: the stream begins anew, as after a reset; networks need the same particles in all frames";
+/// Logged once per stream.
+const PARTICLES_CHANGED: &str = "the number of particles changed and the stream was reset; a stream must have the same particles in all frames";
 /// Warnings that are kept for observers.
 const MAX_WARNINGS: usize = 64;
 
@@ -409,13 +409,13 @@ impl SurrogateNode {
             self.step(arrivals, batch, output);
         }
         let Self { streams, settings, counters, .. } = self;
-        let mut is_other_count = false;
+        let mut particles_changed = false;
         let gap = match streams.get_mut(&stream) {
             None => None,
             Some(state) => match state.order(frame) {
                 Order::Restart => {
                     counters.resets += 1;
-                    is_other_count = frame.particles.len() != state.predicted.len();
+                    particles_changed = frame.particles.len() != state.predicted.len();
                     None
                 }
                 _ if state.free_run_due.is_some() => {
@@ -446,12 +446,12 @@ impl SurrogateNode {
         }
         self.step(arrivals, batch, output);
         self.start(&frame.to_frame())?;
-        // A full list says no more, so that many streams do not fill the log.
-        if is_other_count
+        // No more once the list is full, so that many such streams do not flood the log.
+        if particles_changed
             && self.warnings.len() < MAX_WARNINGS
-            && !self.warnings.contains(&(stream, OTHER_COUNT.to_owned()))
+            && !self.warnings.contains(&(stream, PARTICLES_CHANGED.to_owned()))
         {
-            self.warn(stream, OTHER_COUNT.to_owned());
+            self.warn(stream, PARTICLES_CHANGED.to_owned());
         }
         batch.push(Scheduled { index, stream, gap: 0 });
         self.step(arrivals, batch, output);

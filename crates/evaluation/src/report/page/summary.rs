@@ -79,7 +79,7 @@ impl Report {
     /// Several models or seeds, or intervals over scenes; `None` if it would only repeat the skill of a checkpoint.
     pub(in super::super) fn seed_table(&self) -> Option<Table> {
         let has_intervals = self.groups.iter().any(|group| group.skill.skill_intervals.is_some());
-        if !has_intervals && !self.has_several_checkpoints() {
+        if !has_intervals && !self.has_several_models() {
             return None;
         }
         let mut table =
@@ -117,8 +117,8 @@ impl Report {
         Some(table)
     }
 
-    /// Whether there are several checkpoints, of one model or of several, or rollouts of other programs.
-    pub(in super::super) fn has_several_checkpoints(&self) -> bool {
+    /// Whether there are several checkpoints, or rollouts of other programs.
+    pub(in super::super) fn has_several_models(&self) -> bool {
         self.groups.iter().map(|group| group.members.len()).sum::<usize>() > 1
     }
 }
