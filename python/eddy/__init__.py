@@ -35,7 +35,7 @@ from ._eddy import (
 from ._player import Player
 
 #: Names of the materials, by their numbers in ``Frame.material``.
-MATERIALS = ("liquid", "snow", "jelly", "rope")
+MATERIALS = ("liquid", "snow", "jelly", "rope", "sand")
 
 __all__ = [
     "MATERIALS",

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ._eddy import Bag, Frame
 
-#: Colours of liquid, snow, jelly and rope, from the palette of Okabe and Ito ("Color Universal Design", 2008).
-_COLOURS = ("#0072b2", "#56b4e9", "#e69f00", "#d55e00")
+#: Colours of liquid, snow, jelly, rope and sand, from the palette of Okabe and Ito ("Color Universal Design", 2008).
+_COLOURS = ("#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#cc79a7")
 #: Positions are stored as whole numbers from 0 to this, across a domain that is a twentieth larger on every side.
 _STEPS = 2**16 - 1
 _MARGIN = 0.05

@@ -14,7 +14,7 @@ use crate::arrays::{Argument, view, view_rows, wrong};
 ///
 /// The arrays of a frame are read-only views without a copy.
 ///
-/// `position`, `velocity`: float32 [N, 2], or [N, 3] in space. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope), or the name of the one
+/// `position`, `velocity`: float32 [N, 2], or [N, 3] in space. `material`: uint8 [N] (0 liquid, 1 snow, 2 jelly, 3 rope, 4 sand), or the name of the one
 /// material of all particles. These arrays are copied. `stream`: id of the simulated trajectory. `sequence`: number of the
 /// frame in it. `time`: simulation time (s). `dt`: time between two frames (s). `lower`, `upper`: corners of the domain, by
 /// default the unit square or cube. `Surrogate`, `Stream`, `Player` and `skill` know two dimensions, and raise ValueError for three.
@@ -130,7 +130,7 @@ impl Frame {
         })
     }
 
-    /// Materials, uint8 [N]: 0 liquid, 1 snow, 2 jelly, 3 rope; read-only.
+    /// Materials, uint8 [N]: 0 liquid, 1 snow, 2 jelly, 3 rope, 4 sand; read-only.
     #[getter]
     fn material<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         // SAFETY: the object is frozen and owns the numbers.
@@ -217,7 +217,7 @@ fn materials(value: &Bound<'_, PyAny>, particles: usize) -> PyResult<Vec<Materia
         let name = name.to_str()?;
         let known = Material::ALL.into_iter().find(|material| material.name() == name);
         let material =
-            known.ok_or_else(|| wrong("material", name, "liquid, snow, jelly or rope"))?;
+            known.ok_or_else(|| wrong("material", name, "liquid, snow, jelly, rope or sand"))?;
         return Ok(vec![material; particles]);
     }
     let numbers = Argument::<u8>::new("material", value, &[Some(particles)])?;

@@ -60,7 +60,7 @@ U = np.zeros(16, np.uint8)
         (P, P, U[:3], r"material: found shape \[3\], expected shape \[16\]"),
         (P, P, U + np.uint8(9), r"material\[0\]: found 9, expected 0 \(liquid\)"),
         (P, P, U.astype(np.int64), "material: found dtype int64, expected uint8"),
-        (P, P, "sand", "material: found sand, expected liquid, snow, jelly or rope"),
+        (P, P, "clay", "material: found clay, expected liquid, snow, jelly, rope or sand"),
         (P * np.float32(np.nan), P, U, r"position\[0\]: found NaN, expected a finite number"),
         (P[:0], P[:0], U[:0], "material: found 0 particles, expected at least 1"),
     ],

@@ -206,7 +206,7 @@ pub struct ImportArgs {
     /// Domain of particles in the plane (domain lengths) [default: from the files, or the unit square or cube].
     #[arg(long, num_args = 4, value_names = ["LEFT", "BOTTOM", "RIGHT", "TOP"], allow_negative_numbers = true)]
     pub domain: Option<Vec<f32>>,
-    /// Material of all particles: liquid, snow, jelly or rope [default: from the files].
+    /// Material of all particles: liquid, snow, jelly, rope or sand [default: from the files].
     #[arg(long, value_parser = material)]
     pub material: Option<Material>,
     /// Entries of custom_data in metadata.yaml of each bag; eddy_stiffness=E is Young's modulus of the matter (density x velocity^2),
@@ -219,7 +219,7 @@ fn material(word: &str) -> Result<Material, String> {
     let named = Material::ALL.into_iter().find(|material| material.name() == word);
     named.ok_or_else(|| {
         let hint = near::hint(word, Material::ALL.map(Material::name));
-        format!("found {word}, expected liquid, snow, jelly or rope{hint}")
+        format!("found {word}, expected liquid, snow, jelly, rope or sand{hint}")
     })
 }
 

@@ -303,7 +303,7 @@ fn every_format_holds_every_frame() {
     let mut lines = table.lines();
     assert_eq!(lines.next(), Some("stream,sequence,time,particle,material,x,y,vx,vy"));
     assert_eq!(lines.next(), Some("3,0,0,0,liquid,0,0.75,1.25,-0.5"));
-    assert_eq!(table.lines().last(), Some("8,3,0.048,4,liquid,0.099999994,0.75,1.25,-0.5"));
+    assert_eq!(table.lines().last(), Some("8,3,0.048,4,sand,0.099999994,0.75,1.25,-0.5"));
     assert_eq!(table.lines().count(), 1 + 2 * 4 * 5);
 
     let numbers = |ending: &str| (0..4).map(|k| format!("{k:06}.{ending}")).collect::<Vec<_>>();

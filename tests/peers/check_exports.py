@@ -29,9 +29,9 @@ from rosbags.rosbag2 import Reader
 
 from prediction_bag import typestore
 
-MATERIALS = ["liquid", "snow", "jelly", "rope"]
-GNS_TYPES = numpy.array([5, 6, 7, 8])
-LAGRANGEBENCH_TYPES = numpy.array([0, 4, 5, 6])
+MATERIALS = ["liquid", "snow", "jelly", "rope", "sand"]
+GNS_TYPES = numpy.array([5, 4, 7, 8, 6])
+LAGRANGEBENCH_TYPES = numpy.array([0, 4, 5, 6, 7])
 PARTS = ["train", "valid", "test"]
 
 

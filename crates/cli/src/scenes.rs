@@ -16,11 +16,12 @@ use eddy_settings::{self as config, usage::Usage};
 use crate::{Device, values};
 
 /// Scene files within the program, by their names for `--preset`.
-const SHIPPED: [(&str, &str); 6] = [
+const SHIPPED: [(&str, &str); 7] = [
     ("dam-break", include_str!("../scenes/dam_break.toml")),
     ("fountain", include_str!("../scenes/fountain.toml")),
     ("pour", include_str!("../scenes/pour.toml")),
     ("rope-on-jelly", include_str!("../scenes/rope_on_jelly.toml")),
+    ("sand-column", include_str!("../scenes/sand_column.toml")),
     ("snowball", include_str!("../scenes/snowball.toml")),
     ("wide-tank", include_str!("../scenes/wide_tank.toml")),
 ];

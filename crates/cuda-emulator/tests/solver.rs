@@ -21,7 +21,7 @@ fn settings(law: Law, dt: f32) -> SolverSettings {
     SolverSettings {
         grid,
         spacing: 0.5 * grid.dx,
-        materials: Materials { stiffness: 1e3, law, viscosity: 0.01 },
+        materials: Materials { law, viscosity: 0.01, wall_friction: 0.3, ..Materials::default() },
         dt,
         gravity: GRAVITY,
         threads: 1,
@@ -39,7 +39,7 @@ fn block(corner: [f32; 2], velocity: [f32; 2], material: Material) -> Vec<Partic
                 velocity: [velocity[0] - 5.0 * y, velocity[1] + 5.0 * x],
                 affine: Matrix2::new(0.0, -5.0, 5.0, 0.0),
                 deformation: Matrix2::new(1.02, 0.01, -0.02, 0.97),
-                plastic: 0.98,
+                plastic: if material == Material::Sand { 1.02 } else { 0.98 },
                 ..Particle::at_rest([corner[0] + x, corner[1] + y], material)
             }
         })
@@ -121,8 +121,10 @@ proptest! {
         let outcomes = run(&mut solvers(), &mut [&mut found], &[Interval { dt: 1e-4, substeps, attractor }]);
         prop_assert_eq!(outcomes, vec![Ok(())]);
         let [position, velocity, deformation, plastic] = differences(&plain, &found);
+        // Of sand it is a sum of logarithms, two in each substep.
+        let most = if [material, other].contains(&Material::Sand) { 1e-5 } else { 2e-6 };
         prop_assert!(
-            position < 2e-5 && velocity < 2e-4 && deformation < 2e-6 && plastic < 2e-6,
+            position < 2e-5 && velocity < 2e-4 && deformation < 2e-6 && plastic < most,
             "{position:e} cells, {velocity:e}, F {deformation:e}, Jp {plastic:e}"
         );
     }

@@ -13,11 +13,11 @@ use std::{
 use eddy_cuda::{
     CudaError, dense,
     gpu::{Target, compile},
-    kernels::{Constants, MATERIALS, Program},
+    kernels::{Constants, Program},
     particle, solver,
 };
 use eddy_inference::checkpoint::{
-    Activation, Architecture, Core, Description, Form, FrameOutput, Pooling, Sizes,
+    Activation, Architecture, Core, Description, Form, FrameOutput, MATERIAL_INPUTS, Pooling, Sizes,
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -73,7 +73,7 @@ fn programs() -> Result<Vec<Named>, CudaError> {
         output: FrameOutput::Displacement,
         form: Form::Plain,
         normalized: true,
-        material_inputs: MATERIALS,
+        material_inputs: MATERIAL_INPUTS,
     };
     let log = Constants { form: Form::Log, one_hot: false, ..paper.clone() };
     let unnormalized = Constants { core: Core::MinLstm, normalized: false, ..log.clone() };

@@ -163,7 +163,7 @@ impl Constants {
             let setting = format!("material_inputs = {}", description.material_inputs);
             return Err(CudaError::Unsupported {
                 setting,
-                expected: "at most 4 for the frame model",
+                expected: "at most 5 for the frame model",
             });
         }
         Ok(Self {
@@ -179,6 +179,16 @@ impl Constants {
             normalized: description.normalize_gates,
             material_inputs: description.material_inputs,
         })
+    }
+
+    /// Numbers of a particle beside its material, and one for each material that the network has inputs for.
+    pub fn encoder_inputs(&self) -> usize {
+        2 * AXES + self.material_inputs
+    }
+
+    /// Sums over the particles of a window for each unit of the encoder: slopes for each of these, and values.
+    pub fn encoder_sums(&self) -> usize {
+        self.encoder_inputs() + 1
     }
 
     /// Rows of the encoder's first matrix without the bias.

@@ -16,13 +16,16 @@ pub enum Kind {
     Jelly,
     /// Rope alone.
     Rope,
+    /// Sand alone.
+    Sand,
     /// Several materials.
     Mixed,
 }
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 5] = [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope, Self::Mixed];
+    pub const ALL: [Self; 6] =
+        [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope, Self::Sand, Self::Mixed];
 
     /// The kind of a scene with particles of these materials.
     pub fn of(material: &[Material]) -> Self {
@@ -32,6 +35,7 @@ impl Kind {
                 Material::Snow => Self::Snow,
                 Material::Jelly => Self::Jelly,
                 Material::Rope => Self::Rope,
+                Material::Sand => Self::Sand,
             },
             _ => Self::Mixed,
         }
@@ -44,6 +48,7 @@ impl Kind {
             Self::Snow => "snow",
             Self::Jelly => "jelly",
             Self::Rope => "rope",
+            Self::Sand => "sand",
             Self::Mixed => "mixed",
         }
     }

@@ -23,9 +23,9 @@ use super::{
 /// The structured array.
 const DATA: &str = "gns_data";
 
-/// Particle types of GNS (`render_rollout.py`): 5 water, 6 sand, 7 goop. Snow is written as sand, jelly as goop,
-/// rope as 8, which is unused; 3 is a static obstacle.
-const TYPES: Types = Types([5, 6, 7, 8]);
+/// Particle types of GNS (`render_rollout.py`): 5 water, 6 sand, 7 goop. Jelly is written as goop, snow and rope as 4 and 8,
+/// which are unused; 3 is a static obstacle.
+const TYPES: Types = Types([5, 4, 7, 8, 6]);
 
 const RULE: &str = "without pickles, a GNS file has trajectories of one shape; --frames N selects \
                     the first N frames of each, --stream a single stream";

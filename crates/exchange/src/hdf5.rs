@@ -20,7 +20,7 @@ use super::{
 
 /// Particle types of LagrangeBench (`lagrangebench/utils.py`): 0 is fluid, 1 to 3 are walls and rigid bodies; the
 /// other materials get unused numbers.
-const TYPES: Types = Types([0, 4, 5, 6]);
+const TYPES: Types = Types([0, 4, 5, 6, 7]);
 
 /// Compression level, the default of h5py.
 pub(super) const GZIP: u8 = 4;

@@ -26,7 +26,7 @@ pub(super) struct Types(pub(super) [u8; Material::COUNT]);
 
 impl Types {
     /// The numbers of `eddy_msgs/msg/ParticleFrame`.
-    pub(super) const EDDY: Self = Self([0, 1, 2, 3]);
+    pub(super) const EDDY: Self = Self([0, 1, 2, 3, 4]);
 
     pub(super) fn number(self, material: Material) -> u8 {
         self.0[material as usize]

@@ -85,13 +85,16 @@ pub enum Material {
     Jelly = 2,
     /// Stiff elastic strip.
     Rope = 3,
+    /// Grains: resist compression, slide where shear exceeds friction, part without resistance.
+    Sand = 4,
 }
 
 impl Material {
     /// Number of materials.
-    pub const COUNT: usize = 4;
+    pub const COUNT: usize = 5;
     /// Every material, in the order of the numbers.
-    pub const ALL: [Self; Self::COUNT] = [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope];
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::Liquid, Self::Snow, Self::Jelly, Self::Rope, Self::Sand];
 
     /// The name in files and tables.
     pub fn name(self) -> &'static str {
@@ -100,6 +103,7 @@ impl Material {
             Self::Snow => "snow",
             Self::Jelly => "jelly",
             Self::Rope => "rope",
+            Self::Sand => "sand",
         }
     }
 
@@ -107,11 +111,11 @@ impl Material {
     pub fn keeps_shape(self) -> bool {
         match self {
             Self::Jelly | Self::Rope => true,
-            Self::Liquid | Self::Snow => false,
+            Self::Liquid | Self::Snow | Self::Sand => false,
         }
     }
 
-    /// All numbers with their names: `0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)`.
+    /// All numbers with their names: `0 (liquid), 1 (snow), 2 (jelly), 3 (rope) or 4 (sand)`.
     pub fn numbered() -> impl fmt::Display {
         fmt::from_fn(|f| {
             for (number, material) in Self::ALL.into_iter().enumerate() {

@@ -20,6 +20,7 @@ pub fn of_material(material: Material) -> Rgb {
         Material::Snow => [86, 180, 233],
         Material::Jelly => [230, 159, 0],
         Material::Rope => [213, 94, 0],
+        Material::Sand => [204, 121, 167],
     }
 }
 

@@ -258,7 +258,7 @@ mod tests {
             (|m| m.lower = vec![0.0; 3], "lower: found 3 dimensions, expected 2"),
             (
                 |m| m.material[1] = 9,
-                "material[1]: found 9, expected 0 (liquid), 1 (snow), 2 (jelly) or 3 (rope)",
+                "material[1]: found 9, expected 0 (liquid), 1 (snow), 2 (jelly), 3 (rope) or 4 (sand)",
             ),
             (|m| m.position.truncate(3), "position: found 3 numbers, expected 4 for 2 particles"),
             (|m| m.velocity.push(0.0), "velocity: found 5 numbers, expected 4 for 2 particles"),

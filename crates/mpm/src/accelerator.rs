@@ -6,9 +6,10 @@ use super::{
     error::MpmError,
     grid::{LEAST_OPEN, WALL_CELLS},
     material::{
-        JELLY_STIFFNESS, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
-        SNOW_HARDENING_RANGE, SNOW_STRETCH,
+        JELLY_STIFFNESS, ROPE_STIFFNESS, SAND_FRICTION, SAND_STIFFNESS, SNOW_HARDENING,
+        SNOW_HARDENING_EXPONENTS, SNOW_HARDENING_RANGE, SNOW_STRETCH,
     },
+    sand,
     solver::Solver,
     water,
 };
@@ -58,7 +59,7 @@ pub trait Accelerator: Send {
 }
 
 /// The numbers of the laws, the walls and the attractor, by the names that the devices' programs have for them.
-pub const CONSTANTS: [(&str, f32); 15] = [
+pub const CONSTANTS: [(&str, f32); 19] = [
     ("WALL_CELLS", WALL_CELLS as f32),
     ("LEAST_OPEN", LEAST_OPEN),
     ("LEAST_LIQUID", water::LEAST_LIQUID),
@@ -73,5 +74,9 @@ pub const CONSTANTS: [(&str, f32); 15] = [
     ("SNOW_HARDEST", SNOW_HARDENING_RANGE[1]),
     ("SNOW_LOWEST", SNOW_STRETCH[0]),
     ("SNOW_HIGHEST", SNOW_STRETCH[1]),
+    ("SAND_STIFFNESS", SAND_STIFFNESS),
+    ("SAND_FRICTION", SAND_FRICTION),
+    ("SAND_LEAST", sand::STRETCH[0]),
+    ("SAND_MOST", sand::STRETCH[1]),
     ("CORE", attractor::CORE),
 ];

@@ -1,7 +1,7 @@
 //! The constitutive model: elastic trial, plastic correction and Kirchhoff stress of the fixed-corotated law.
 //!
-//! `F <- (I + dt C) F`; snow is projected onto its yield surface, liquids discard their shear deformation ([`water`] has
-//! its own law); then `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
+//! `F <- (I + dt C) F`; snow is projected onto its yield surface, liquids discard their shear deformation ([`water`] and
+//! [`sand`] have laws of their own); then `tau = 2 mu (F - R) F^T + lambda J (J - 1) I` with hardened mu and lambda
 //! (Stomakhin et al. 2012, "Energetically Consistent Invertible Elasticity").
 
 use super::{
@@ -9,7 +9,7 @@ use super::{
     matrix::Matrix2,
     particle::Particle,
     polar::{self, Decomposition},
-    water,
+    sand, water,
 };
 use eddy_frames::Material;
 
@@ -44,6 +44,12 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
         Material::Jelly | Material::Rope => {
             particle.deformation = trial;
             stress(trial, lame)
+        }
+        Material::Sand => {
+            let (elastic, gained, stress) = sand::advanced(trial, particle.plastic - 1.0, lame);
+            particle.deformation = elastic;
+            particle.plastic = 1.0 + gained;
+            stress
         }
     }
 }

@@ -8,6 +8,7 @@ use super::{
     material::{DENSITY, Law, Moduli, hardening},
     matrix::Matrix2,
     particle::Particle,
+    sand,
     solver::SolverSettings,
 };
 use eddy_frames::Material;
@@ -32,6 +33,14 @@ fn elastic(f: [[f64; 2]; 2], mu: f64, lambda: f64) -> f64 {
     let (q, r) = (0.5 * length(xx + yy, yx - xy), 0.5 * length(xx - yy, yx + xy));
     let area = xx * yy - xy * yx;
     mu * ((q + r - 1.0).powi(2) + (q - r - 1.0).powi(2)) + 0.5 * lambda * (area - 1.0).powi(2)
+}
+
+/// Energy per area of sand: `mu |e|^2 + lambda/2 tr(e)^2` with the logarithms e of the singular values.
+fn hencky([[xx, xy], [yx, yy]]: [[f64; 2]; 2], mu: f64, lambda: f64) -> f64 {
+    let (q, r) = (0.5 * (xx + yy).hypot(yx - xy), 0.5 * (xx - yy).hypot(yx + xy));
+    let [lowest, highest] = sand::STRETCH.map(f64::from);
+    let [large, small] = [q + r, q - r].map(|stretch| stretch.clamp(lowest, highest).ln());
+    mu * (large * large + small * small) + 0.5 * lambda * (large + small).powi(2)
 }
 
 /// Energy per area of water: the work of Tait's pressure, `K/7 (J^-6/6 + J - 7/6)`, none in tension.
@@ -84,6 +93,7 @@ fn stored(particle: &Particle, moduli: &Moduli) -> f64 {
     match (particle.material, moduli.law) {
         (Material::Liquid, Law::Water | Law::Settling) => tait(f, lambda),
         (Material::Liquid, Law::Taichi) => elastic(f, 0.0, lambda),
+        (Material::Sand, _) => hencky(f, mu * factor, lambda * factor),
         _ => elastic(f, mu * factor, lambda * factor),
     }
 }

@@ -164,7 +164,7 @@ impl Grid {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];
                 }
-                node.motion = [walled(velocity[0], i, sides[0]), walled(velocity[1], j, sides[1])];
+                node.motion = at_walls(velocity, [i, j], sides, step.wall_friction);
                 if let Some(settling) = step.settling {
                     let open = open_share([open_along(i, sides[0]), open_along(j, sides[1])]);
                     let by_density = DENSITY * dx * dx * open / node.mass;
@@ -188,9 +188,39 @@ fn walled(velocity: f32, index: usize, side: usize) -> f32 {
     }
 }
 
+/// The velocity at node `index`: beside [`walled`], the wall takes from the motion along it `friction` times what it takes from the
+/// motion into it, at most all (Coulomb).
+#[inline]
+pub(super) fn at_walls(
+    velocity: [f32; 2],
+    index: [usize; 2],
+    sides: [usize; 2],
+    friction: f32,
+) -> [f32; 2] {
+    let kept = [0, 1].map(|axis| walled(velocity[axis], index[axis], sides[axis]));
+    if friction == 0.0 {
+        return kept;
+    }
+    [0, 1].map(|axis| {
+        let across = 1 - axis;
+        let stopped = (velocity[across] - kept[across]).abs();
+        (kept[axis].abs() - friction * stopped).max(0.0).copysign(kept[axis])
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn friction_takes_from_the_motion_along_a_wall_what_it_takes_from_that_into_it() {
+        let at = |velocity, friction| at_walls(velocity, [30, 2], [65, 65], friction);
+        assert_eq!(at([1.0, -2.0], 0.0), [1.0, 0.0]);
+        assert_eq!(at([1.0, -2.0], 0.25), [0.5, 0.0]);
+        assert_eq!(at([-1.0, -2.0], 0.25), [-0.5, 0.0]);
+        assert_eq!(at([1.0, -2.0], 0.75), [0.0, 0.0]);
+        assert_eq!(at([1.0, 2.0], 0.75), [1.0, 2.0], "it leaves the wall");
+    }
 
     #[test]
     fn walls_stop_motion_into_them_and_allow_separation() {

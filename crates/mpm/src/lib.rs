@@ -47,6 +47,7 @@ mod placement;
 mod plane;
 mod polar;
 mod preset;
+mod sand;
 mod scene;
 mod shape;
 mod simulation;

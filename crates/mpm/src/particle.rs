@@ -14,7 +14,7 @@ pub struct Particle {
     pub affine: Matrix2,
     /// Elastic deformation gradient F.
     pub deformation: Matrix2,
-    /// Plastic area ratio Jp of snow; 1 for the other materials.
+    /// Plastic area ratio Jp of snow; of sand, 1 and the logarithm of the area that it gained when it parted; 1 for other materials.
     pub plastic: f32,
     /// Its material.
     pub material: Material,

@@ -56,6 +56,19 @@ impl Decomposition {
         [self.q + self.r, self.q - self.r]
     }
 
+    /// Cosine and sine of twice the angle of the axis of the larger singular value in the image: that of the left stretch.
+    pub(super) fn left_axis(self) -> [f32; 2] {
+        let Self { conformal, anticonformal, q, r } = self;
+        // The product of a + ib and c + id has this angle.
+        let (a, b) = (conformal.xx, conformal.yx);
+        let (c, d) = (anticonformal.xx, anticonformal.yx);
+        let length = q * r;
+        if q < MIN_CONFORMAL || r < MIN_CONFORMAL {
+            return [1.0, 0.0];
+        }
+        [(a * c - b * d) / length, (a * d + b * c) / length]
+    }
+
     /// The matrix with the same singular vectors and other singular values.
     pub(super) fn with_singular_values(self, [large, small]: [f32; 2]) -> Matrix2 {
         let conformal = rescaled(self.conformal, self.q, 0.5 * (large + small), Matrix2::IDENTITY);

@@ -29,6 +29,8 @@ const MAX_RESOLVE: u32 = 8;
 
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
+/// Maximum coefficient of friction at the walls: with 10 times the normal change of velocity all motion along them is stopped.
+const MAX_FRICTION: f64 = 1e3;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
 /// and the bag's chunk.
 const PARTICLE_BYTES: f64 = 384.0;
@@ -250,10 +252,13 @@ impl Scene {
             });
         }
         self.frames.check()?;
-        let Materials { stiffness, viscosity, .. } = self.materials;
+        let Materials { stiffness, viscosity, wall_friction, .. } = self.materials;
         positive("materials.stiffness", stiffness.into(), MAX_STIFFNESS)?;
         if viscosity != 0.0 {
             positive("materials.viscosity", viscosity.into(), MAX_STIFFNESS)?;
+        }
+        if wall_friction != 0.0 {
+            positive("materials.wall_friction", wall_friction.into(), MAX_FRICTION)?;
         }
         self.attractor.iter().try_for_each(Attractor::check)?;
         for (index, body) in self.bodies.iter().enumerate() {

@@ -259,7 +259,8 @@ mod tests {
 
     const CELLS: u32 = 64;
     /// Taichi's law conserves energy in tension too.
-    const MATERIALS: Materials = Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0 };
+    const MATERIALS: Materials =
+        Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0, wall_friction: 0.0 };
 
     /// A square of 20 x 20 particles at the centre of the domain.
     fn square(material: Material) -> Vec<Particle> {

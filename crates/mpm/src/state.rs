@@ -5,6 +5,7 @@ use super::{
     energy::Energy,
     material::{DENSITY, Lame, Moduli, hardening},
     particle::Particle,
+    sand,
     solver::SolverSettings,
     water,
 };
@@ -44,8 +45,11 @@ fn pressure(particle: &Particle, moduli: &Moduli) -> f32 {
     // Taichi's liquids have no shear modulus.
     let shear = if material == Material::Liquid { 0.0 } else { moduli.lame.mu * factor };
     let lame = Lame { mu: shear, lambda: moduli.lame.lambda * factor };
+    let stress = match material {
+        Material::Sand => sand::stress(deformation, lame),
+        _ => constitutive::stress(deformation, lame),
+    };
     // Kirchhoff stress is Cauchy stress times the area ratio.
-    let stress = constitutive::stress(deformation, lame);
     -0.5 * (stress.xx + stress.yy) / area
 }
 

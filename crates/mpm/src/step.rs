@@ -22,6 +22,8 @@ pub struct Step {
     pub particles_per_cell: f32,
     /// How J changes, with the law `settling`.
     pub settling: Option<Settling>,
+    /// Coefficient of friction at the walls.
+    pub wall_friction: f32,
     /// Material parameters.
     pub moduli: Moduli,
 }
@@ -39,6 +41,7 @@ impl Step {
             impulse: -dt * 4.0 * inverse_dx * inverse_dx / DENSITY,
             particles_per_cell: dx * dx / settings.volume(),
             settling: (moduli.law == Law::Settling).then(|| Settling::of(&moduli, inverse_dx, dt)),
+            wall_friction: settings.materials.wall_friction,
             moduli,
         }
     }

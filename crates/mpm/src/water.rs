@@ -138,7 +138,7 @@ mod tests {
     };
 
     fn moduli(viscosity: f32) -> Moduli {
-        Moduli::of(&Materials { stiffness: 1e3, law: Law::Water, viscosity })
+        Moduli::of(&Materials { law: Law::Water, viscosity, ..Materials::default() })
     }
 
     #[test]

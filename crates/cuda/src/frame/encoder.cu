@@ -13,7 +13,7 @@
 //
 // sums: [rows, chunks, SUMS, E]: slope * feature for each feature, slopes for each material, values (of ELU
 // without its slope - 1).
-#define SUMS (FEATURES + MATERIALS + 1)
+#define SUMS (FEATURES + MATERIAL_INPUTS + 1)
 #define TILE 256
 
 struct Scaling { float least[FEATURES]; float inverse_range[FEATURES]; };
@@ -80,7 +80,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
       slope[q][k] = 0.0f;
     }
   }
-  for (int material = 0; material < MATERIALS; material++) {
+  for (int material = 0; material < MATERIAL_INPUTS; material++) {
     const int from = max(first, (int)ends[material]), to_end = min(last, (int)ends[material + 1]);
     float bias[2], slopes[2] = {0.0f, 0.0f};
 #pragma unroll
@@ -140,7 +140,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
 #pragma unroll
         for (int k = 0; k < FEATURES; k++) to[k * E + unit[q]] = slope[q][k] + other[k * 256 + lane + 128 * q];
         const float total = value[q] + other[FEATURES * 256 + lane + 128 * q];
-        to[(FEATURES + MATERIALS) * E + unit[q]] = ACTIVATION >= 2 ? total * (1.0f / LOG2E) : total;
+        to[(FEATURES + MATERIAL_INPUTS) * E + unit[q]] = ACTIVATION >= 2 ? total * (1.0f / LOG2E) : total;
       }
 }
 
@@ -149,7 +149,7 @@ extern "C" __global__ void __launch_bounds__(256, 4) encode(const Body* __restri
 // units x inputs. Taking the 8 particles of a group in the order 0 2 4 6 1 3 5 7 makes the first product's registers the
 // second one's left factor as they are. grid (chunks, batch, frames * UNIT_BLOCKS), block 256: a warp has 64 units, and
 // half of the particles
-#define COLUMNS (FEATURES + MATERIALS)
+#define COLUMNS (FEATURES + MATERIAL_INPUTS)
 #define GROUPS ((COLUMNS + 7) / 8)
 #define TENSOR_TILE 512
 extern "C" __global__ void __launch_bounds__(256, 3) encode_tensor(const Body* __restrict__ states, const unsigned char* __restrict__ material,
@@ -275,9 +275,9 @@ extern "C" __global__ void pool(const float* __restrict__ sums, float* __restric
     if (j < E)
       for (int c = 0; c < chunks; c++) {
         const float* from = sums + ((size_t)row * chunks + c) * SUMS * E;
-        value += from[(FEATURES + MATERIALS) * E + j];
+        value += from[(FEATURES + MATERIAL_INPUTS) * E + j];
         if (ACTIVATION == 3)
-          for (int m = 0; m < MATERIALS; m++) slopes += from[(FEATURES + m) * E + j];
+          for (int m = 0; m < MATERIAL_INPUTS; m++) slopes += from[(FEATURES + m) * E + j];
       }
     const float mean = (ACTIVATION == 3 ? value + (slopes - (float)N) : value) * (1.0f / N);
     pooled[(size_t)row * EP + j] = j < E ? mean : (j == E ? 1.0f : 0.0f);
@@ -298,7 +298,7 @@ extern "C" __global__ void encoder_gradient(const float* __restrict__ g, const f
         if (k < FEATURES) s += from[k * E];
         else if (k < INPUTS && ONE_HOT) s += from[k * E];
         else
-          for (int m = 0; m < MATERIALS; m++)
+          for (int m = 0; m < MATERIAL_INPUTS; m++)
             s += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIAL_INPUTS - 1));
       }
       total = fmaf(g[(size_t)r * EP + j], s, total);
@@ -317,7 +317,7 @@ extern "C" __global__ void encoder_gradient(const float* __restrict__ g, const f
 extern "C" __global__ void __launch_bounds__(256) encoder_points_gradient(const Body* __restrict__ states, const unsigned char* __restrict__ material,
     const Window* __restrict__ windows, const Progress* __restrict__ progress, const float* __restrict__ w,
     const Scaling* __restrict__ scaling, const float* __restrict__ g, Body* __restrict__ carried) {
-  __shared__ float weights[64][FEATURES + MATERIALS + 1];
+  __shared__ float weights[64][FEATURES + MATERIAL_INPUTS + 1];
   const int p = blockIdx.x * 256 + threadIdx.x, b = blockIdx.y, batch = gridDim.y;
   const bool is = p < N;
   const u32 stream = windows[(size_t)progress->step * batch + b].stream;
@@ -334,10 +334,10 @@ extern "C" __global__ void __launch_bounds__(256) encoder_points_gradient(const 
   for (int from = 0; from < E; from += 64) {
     const int n = min(64, E - from);
     __syncthreads();
-    for (int i = threadIdx.x; i < n * (FEATURES + MATERIALS + 1); i += 256) {
+    for (int i = threadIdx.x; i < n * (FEATURES + MATERIAL_INPUTS + 1); i += 256) {
       const int k = i / n, j = i % n;
       weights[j][k] = k < FEATURES ? w[k * EL + from + j]
-          : (k < FEATURES + MATERIALS ? material_bias(w, k - FEATURES, from + j) : g[(size_t)b * EP + from + j] * (1.0f / N));
+          : (k < FEATURES + MATERIAL_INPUTS ? material_bias(w, k - FEATURES, from + j) : g[(size_t)b * EP + from + j] * (1.0f / N));
     }
     __syncthreads();
     if (is)
@@ -345,7 +345,7 @@ extern "C" __global__ void __launch_bounds__(256) encoder_points_gradient(const 
         float a = weights[j][FEATURES + kind];
 #pragma unroll
         for (int k = 0; k < FEATURES; k++) a = fmaf(weights[j][k], x[k], a);
-        const float s = weights[j][FEATURES + MATERIALS] * activation_slope(activate(a));
+        const float s = weights[j][FEATURES + MATERIAL_INPUTS] * activation_slope(activate(a));
 #pragma unroll
         for (int k = 0; k < FEATURES; k++) dx[k] = fmaf(s, weights[j][k], dx[k]);
       }

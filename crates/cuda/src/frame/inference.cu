@@ -38,7 +38,7 @@ extern "C" __global__ void __launch_bounds__(256) encode_streams(const Body* __r
   float weight[FEATURES], total = 0.0f;
 #pragma unroll
   for (int k = 0; k < FEATURES; k++) weight[k] = w[k * EL + j];
-  for (int material = 0; material < MATERIALS; material++) {
+  for (int material = 0; material < MATERIAL_INPUTS; material++) {
     const int from = max(0, (int)row.segments[material] - first), to = min(n, (int)row.segments[material + 1] - first);
     const float bias = material_bias(w, material, j);
     for (int p = from; p < to; p++) {

@@ -8,19 +8,19 @@
 __device__ __forceinline__ void encode_tile(const Body* bodies, const int* kinds, int n, const float* __restrict__ w,
     const Scaling* __restrict__ scaling, float* __restrict__ points) {
   for (int j = threadIdx.x; j < EP; j += 256) {
-    float weight[FEATURES], bias[MATERIALS];
+    float weight[FEATURES], bias[MATERIAL_INPUTS];
     if (j < E) {
 #pragma unroll
       for (int k = 0; k < FEATURES; k++) weight[k] = w[k * EL + j];
 #pragma unroll
-      for (int m = 0; m < MATERIALS; m++) bias[m] = material_bias(w, m, j);
+      for (int m = 0; m < MATERIAL_INPUTS; m++) bias[m] = material_bias(w, m, j);
     }
     for (int p = 0; p < n; p++) {
       float y = j == E ? 1.0f : 0.0f;
       if (j < E) {
         float a = 0.0f;
 #pragma unroll
-        for (int m = 0; m < MATERIALS; m++) a = kinds[p] == m ? bias[m] : a;
+        for (int m = 0; m < MATERIAL_INPUTS; m++) a = kinds[p] == m ? bias[m] : a;
 #pragma unroll
         for (int k = 0; k < FEATURES; k++) a = fmaf(weight[k], feature(bodies[p], k, scaling), a);
         y = activate(a);
@@ -55,7 +55,7 @@ extern "C" __global__ void __launch_bounds__(256) encode_points_of_streams(const
     const int at = from + threadIdx.x;
     bodies[threadIdx.x] = frames[(size_t)b * N + row.order[at]];
     int kind = 0;
-    for (int m = 1; m < MATERIALS; m++) kind += at >= (int)row.segments[m];
+    for (int m = 1; m < MATERIAL_INPUTS; m++) kind += at >= (int)row.segments[m];
     kinds[threadIdx.x] = kind;
   }
   __syncthreads();
@@ -112,7 +112,7 @@ extern "C" __global__ void mean_part(const float* __restrict__ input, float* __r
 }
 
 // Gradients by the weights of both Linears, of unit h = blockIdx.x of the second one: added to what its means give, if there
-// are means; those by the first Linear, for features and materials, into `parts` [H, FEATURES + MATERIALS, E].
+// are means; those by the first Linear, for features and materials, into `parts` [H, FEATURES + MATERIAL_INPUTS, E].
 // grid H, block 256
 extern "C" __global__ void __launch_bounds__(256) maximum_gradient(const Body* __restrict__ states, const unsigned char* __restrict__ material,
     const Window* __restrict__ windows, const Progress* __restrict__ progress, const float* __restrict__ w,
@@ -120,16 +120,16 @@ extern "C" __global__ void __launch_bounds__(256) maximum_gradient(const Body* _
     const u32* __restrict__ which, float* __restrict__ d_second, float* __restrict__ parts, int rows, int batch) {
   const int h = blockIdx.x;
   for (int j = threadIdx.x; j <= E; j += 256) {
-    float by_second = 0.0f, by_first[FEATURES + MATERIALS], weight[FEATURES], bias[MATERIALS], above = 0.0f;
+    float by_second = 0.0f, by_first[FEATURES + MATERIAL_INPUTS], weight[FEATURES], bias[MATERIAL_INPUTS], above = 0.0f;
     if (j < E) {
       above = second[(size_t)j * HP + h];
 #pragma unroll
       for (int k = 0; k < FEATURES; k++) weight[k] = w[k * EL + j];
 #pragma unroll
-      for (int m = 0; m < MATERIALS; m++) bias[m] = material_bias(w, m, j);
+      for (int m = 0; m < MATERIAL_INPUTS; m++) bias[m] = material_bias(w, m, j);
     }
 #pragma unroll
-    for (int k = 0; k < FEATURES + MATERIALS; k++) by_first[k] = 0.0f;
+    for (int k = 0; k < FEATURES + MATERIAL_INPUTS; k++) by_first[k] = 0.0f;
     for (int row = 0; row < rows; row++) {
       const float g = d_input[(size_t)row * IP + MEAN * H + h];
       if (j == E) {
@@ -141,7 +141,7 @@ extern "C" __global__ void __launch_bounds__(256) maximum_gradient(const Body* _
       const int kind = material[(size_t)windows[(size_t)progress->step * batch + row % batch].stream * N + p];
       float x[FEATURES], a = 0.0f;
 #pragma unroll
-      for (int m = 0; m < MATERIALS; m++) a = kind == m ? bias[m] : a;
+      for (int m = 0; m < MATERIAL_INPUTS; m++) a = kind == m ? bias[m] : a;
 #pragma unroll
       for (int k = 0; k < FEATURES; k++) {
         x[k] = feature(body, k, scaling);
@@ -152,13 +152,13 @@ extern "C" __global__ void __launch_bounds__(256) maximum_gradient(const Body* _
 #pragma unroll
       for (int k = 0; k < FEATURES; k++) by_first[k] = fmaf(slope, x[k], by_first[k]);
 #pragma unroll
-      for (int m = 0; m < MATERIALS; m++) by_first[FEATURES + m] += kind == m ? slope : 0.0f;
+      for (int m = 0; m < MATERIAL_INPUTS; m++) by_first[FEATURES + m] += kind == m ? slope : 0.0f;
     }
     float* to = d_second + (size_t)j * HP + h;
     *to = MEAN ? *to + by_second : by_second;
     if (j < E)
 #pragma unroll
-      for (int k = 0; k < FEATURES + MATERIALS; k++) parts[((size_t)h * (FEATURES + MATERIALS) + k) * E + j] = by_first[k];
+      for (int k = 0; k < FEATURES + MATERIAL_INPUTS; k++) parts[((size_t)h * (FEATURES + MATERIAL_INPUTS) + k) * E + j] = by_first[k];
   }
 }
 // The sums of the parts. grid (ceil(E / 32), INPUTS + 1), block (32, 32)
@@ -168,10 +168,10 @@ extern "C" __global__ void maximum_sum(const float* __restrict__ parts, float* _
   float total = 0.0f;
   if (j < E)
     for (int h = threadIdx.y; h < H; h += 32) {
-      const float* from = parts + (size_t)h * (FEATURES + MATERIALS) * E + j;
+      const float* from = parts + (size_t)h * (FEATURES + MATERIAL_INPUTS) * E + j;
       if (k < FEATURES || (k < INPUTS && ONE_HOT)) total += from[k * E];
       else
-        for (int m = 0; m < MATERIALS; m++)
+        for (int m = 0; m < MATERIAL_INPUTS; m++)
           total += from[(FEATURES + m) * E] * (k == INPUTS ? 1.0f : (float)m / (MATERIAL_INPUTS - 1));
     }
   sums[threadIdx.y][threadIdx.x] = total;

@@ -33,7 +33,7 @@ use crate::{
     kernels::{
         AXES, Constants,
         frame::{
-            encoder::{SUMS, Scaling},
+            encoder::Scaling,
             loss::Grid,
             motion::Motion,
             windows::{Disturb, Observe},
@@ -202,7 +202,7 @@ impl Training {
             scaling: List::of(&*device, &[scaling(description)])?,
             states: List::new(&*device, rows * particles)?,
             sums: numbers(if constants.mean() {
-                rows * chunks * SUMS * constants.encoder
+                rows * chunks * constants.encoder_sums() * constants.encoder
             } else {
                 0
             })?,

@@ -28,6 +28,7 @@ impl Program for Constants {
             ("SNOW", Material::Snow),
             ("JELLY", Material::Jelly),
             ("ROPE", Material::Rope),
+            ("SAND", Material::Sand),
         ];
         let materials = materials.map(|(name, material)| (name, material as usize));
         let numbers = CONSTANTS.map(|(name, number)| (name, number.to_bits() as usize));
@@ -116,6 +117,7 @@ impl Layout {
             centre: [0.0; 2],
             strength: 0.0,
             period: 0.0,
+            friction: step.wall_friction,
         });
         self.particles += particles;
         self.largest = self.largest.max(particles);

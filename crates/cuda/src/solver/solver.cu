@@ -9,7 +9,7 @@
 // of integers, which have no order: the same bits come out of every run, however particles are sorted, and beside whatever
 // other scenes.
 //
-// Constants: LIQUID, SNOW, JELLY, ROPE (numbers of the materials), MATERIALS (how many there are), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
+// Constants: LIQUID, SNOW, JELLY, ROPE, SAND (numbers of the materials), MATERIALS (how many there are), and `CONSTANTS` of the crate eddy-mpm as bits of floats.
 #define TILE 8
 #define MARGIN 2
 #define PATCH (TILE + 2 * MARGIN + 2)
@@ -57,6 +57,7 @@ struct Scene {
   float unit;                  // a power of two: velocities times this are below about 1 for a cell in a substep
   u32 attracted;               // 1: there is an attractor
   float centre[2], strength, period; // period 0: a single point
+  float friction;              // at the walls
 };
 
 // How far a scene is: substep `done` begins with a gather (but for the first), and ends with a scatter (but for the last,
@@ -235,9 +236,9 @@ __device__ __forceinline__ Stress liquid(const Scene& s, float4 c, float4* f) {
   return stress;
 }
 
-// `exp(10 (1 - Jp))` within bounds, as `snow_hardening` of eddy-mpm.
-__device__ __forceinline__ float snow_hardening(float plastic) {
-  const float x = 0.125f * clamped(real(SNOW_HARDENING) * (1.0f - plastic), real(SNOW_LEAST_EXPONENT), real(SNOW_MOST_EXPONENT));
+// As `exponential` of eddy-mpm.
+__device__ __forceinline__ float exponential(float x) {
+  x *= 0.125f;
   float eighth = 1.0f / 720.0f;
   eighth = 1.0f / 120.0f + x * eighth;
   eighth = 1.0f / 24.0f + x * eighth;
@@ -246,7 +247,51 @@ __device__ __forceinline__ float snow_hardening(float plastic) {
   eighth = 1.0f + x * eighth;
   eighth = 1.0f + x * eighth;
   const float fourth = eighth * eighth, half = fourth * fourth;
-  return clamped(half * half, real(SNOW_SOFTEST), real(SNOW_HARDEST));
+  return half * half;
+}
+
+// As `logarithm` of eddy-mpm.
+__device__ __forceinline__ float logarithm(float x) {
+  const float root = sqrtf(sqrtf(x)), z = (root - 1.0f) / (root + 1.0f), square = z * z;
+  float series = 8.0f / 9.0f;
+  series = 8.0f / 7.0f + square * series;
+  series = 8.0f / 5.0f + square * series;
+  series = 8.0f / 3.0f + square * series;
+  return z * (8.0f + square * series);
+}
+
+// `exp(10 (1 - Jp))` within bounds, as `snow_hardening` of eddy-mpm.
+__device__ __forceinline__ float snow_hardening(float plastic) {
+  const float exponent = clamped(real(SNOW_HARDENING) * (1.0f - plastic), real(SNOW_LEAST_EXPONENT), real(SNOW_MOST_EXPONENT));
+  return clamped(exponential(exponent), real(SNOW_SOFTEST), real(SNOW_HARDEST));
+}
+
+// `sand` of eddy-mpm: Hencky's law with the friction of Drucker and Prager; `plastic` is 1 and the logarithm of the area gained.
+__device__ __forceinline__ Stress grains(const Scene& s, float4* f, float* plastic) {
+  const float a = 0.5f * (f->x + f->w), b = 0.5f * (f->z - f->y), c = 0.5f * (f->x - f->w), d = 0.5f * (f->z + f->y);
+  const float q = sqrtf(a * a + b * b), r = sqrtf(c * c + d * d);
+  const float cosine = q < 1e-12f ? 1.0f : a / q, sine = q < 1e-12f ? 0.0f : b / q;
+  const float along = r < 1e-12f ? 1.0f : c / r, across = r < 1e-12f ? 0.0f : d / r;
+  const float gained = *plastic - 1.0f;
+  const float large = logarithm(clamped(q + r, real(SAND_LEAST), real(SAND_MOST))), small = logarithm(clamped(q - r, real(SAND_LEAST), real(SAND_MOST)));
+  const float mean = 0.5f * (large + small + gained), shear = 0.5f * (large - small);
+  if (mean >= 0.0f) {
+    *plastic = 1.0f + 2.0f * mean;
+    *f = {cosine, -sine, sine, cosine};
+    return {0.0f, 0.0f, 0.0f};
+  }
+  const float mu = s.mu * real(SAND_STIFFNESS), lambda = s.lambda * real(SAND_STIFFNESS);
+  const float kept = fminf(shear, real(SAND_FRICTION) * (lambda + mu) / mu * -mean);
+  if (kept < shear || gained > 0.0f) {
+    *plastic = 1.0f;
+    const float first = exponential(mean + kept), second = exponential(mean - kept);
+    const float p = 0.5f * (first + second), t = 0.5f * (first - second);
+    *f = {p * cosine + t * along, t * across - p * sine, p * sine + t * across, p * cosine - t * along};
+  }
+  const float pressure = 2.0f * (lambda + mu) * mean, tangent = 2.0f * mu * kept;
+  const bool directed = q >= 1e-12f && r >= 1e-12f;
+  const float axis_cosine = directed ? cosine * along - sine * across : 1.0f, axis_sine = directed ? cosine * across + sine * along : 0.0f;
+  return {pressure + tangent * axis_cosine, tangent * axis_sine, pressure - tangent * axis_cosine};
 }
 
 // Solids (`constitutive` and `polar` of eddy-mpm): snow is projected onto its yield surface; fixed-corotated stress.
@@ -384,10 +429,11 @@ extern "C" __global__ void __launch_bounds__(THREADS, 8) solver_particles(const 
           // (I + dt C) F
           const float one_x = 1.0f + s.dt * c.x, one_y = 1.0f + s.dt * c.w, cross_x = s.dt * c.y, cross_y = s.dt * c.z;
           float4 trial = {one_x * f.x + cross_x * f.z, one_x * f.y + cross_x * f.w, cross_y * f.x + one_y * f.z, cross_y * f.y + one_y * f.w};
-          float plastic = material == SNOW ? state.plastic[p] : 1.0f;
-          const Stress stress = material == LIQUID ? liquid(s, c, &trial) : solid(s, material, &trial, &plastic);
+          const bool is_plastic = material == SNOW || material == SAND;
+          float plastic = is_plastic ? state.plastic[p] : 1.0f;
+          const Stress stress = material == LIQUID ? liquid(s, c, &trial) : material == SAND ? grains(s, &trial, &plastic) : solid(s, material, &trial, &plastic);
           f = trial;
-          if (material == SNOW) state.plastic[p] = plastic;
+          if (is_plastic) state.plastic[p] = plastic;
           // Momentum per mass at the particle, and its change from cell to cell.
           const float xx = (s.impulse * stress.xx + c.x) * s.dx, xy = (s.impulse * stress.xy + c.y) * s.dx;
           const float yx = (s.impulse * stress.xy + c.z) * s.dx, yy = (s.impulse * stress.yy + c.w) * s.dx;
@@ -457,6 +503,9 @@ __device__ __forceinline__ float walled(float velocity, u32 index, u32 side) {
   return index + wall >= side ? fminf(velocity, 0.0f) : velocity;
 }
 
+// A velocity along a wall of which friction takes at most this.
+__device__ __forceinline__ float rubbed(float velocity, float most) { return copysignf(fmaxf(fabsf(velocity) - most, 0.0f), velocity); }
+
 // The share of a node's kernel that lies between the walls, along one axis; none inside the walls (`grid::open_along`).
 __device__ __forceinline__ float open_along(u32 index, u32 side) {
   const u32 surface = (u32)real(WALL_CELLS) - 1, nearest = min(index, side - 1 - index);
@@ -518,6 +567,9 @@ extern "C" __global__ void __launch_bounds__(CELLS) solver_nodes(const Scene* __
       area = liquid > real(LEAST_LIQUID) * (float)sum ? (float)sum_area / liquid : 1.0f;
       area += (at_most(s.per_cell * open / mass, real(MAX_AREA)) - area) * s.relaxing;
     }
-    nodes[s.first_node + gx * s.sides[1] + gy] = {walled(vx, gx, s.sides[0]), walled(vy, gy, s.sides[1]), mass, area};
+    // `at_walls` of eddy-mpm.
+    const float kept_x = walled(vx, gx, s.sides[0]), kept_y = walled(vy, gy, s.sides[1]);
+    const float by_x = s.friction * fabsf(vx - kept_x), by_y = s.friction * fabsf(vy - kept_y);
+    nodes[s.first_node + gx * s.sides[1] + gy] = {rubbed(kept_x, by_y), rubbed(kept_y, by_x), mass, area};
   }
 }

@@ -166,7 +166,7 @@ impl Description {
     /// interval of 16 ms, the unit square, velocities up to 1 domain length per second.
     pub fn untrained(architecture: Architecture, core: Core, sizes: Sizes) -> Self {
         Self {
-            format_version: Self::version(Material::COUNT),
+            format_version: Self::version(MATERIAL_INPUTS),
             architecture,
             core,
             form: Form::default(),
@@ -178,8 +178,8 @@ impl Description {
             dt: 0.016,
             warm_up: 2,
             gravity: [0.0, -9.8],
-            materials: Material::ALL.to_vec(),
-            material_inputs: Material::COUNT,
+            materials: Material::ALL[..MATERIAL_INPUTS].to_vec(),
+            material_inputs: MATERIAL_INPUTS,
             data: String::new(),
             sizes,
             frame: FrameOptions::default(),

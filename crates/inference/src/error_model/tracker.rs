@@ -24,7 +24,7 @@ pub fn log_square(square: f64) -> f32 {
 /// - natural logarithms of mean squares over the particles (domain lengths squared): the position errors of recent one-step
 ///   predictions; recent departures of the truth from a ballistic step; the distance of the prediction from a ballistic
 ///   extrapolation of the last observed frame, and from that frame;
-/// - the shares of liquid, snow and jelly among the particles.
+/// - the shares of liquid, snow and jelly among the particles; sand counts as rope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Features(pub [f32; FEATURES]);
 
@@ -41,7 +41,7 @@ pub(super) struct Squares {
 #[derive(Clone, Debug)]
 pub struct ErrorTracker {
     ballistic: Ballistic,
-    shares: [f32; Material::COUNT - 1],
+    shares: [f32; 3],
     /// The last observed frame, `[N, 2]` each.
     observed: Motion,
     /// Its ballistic extrapolation.

@@ -7,7 +7,8 @@ use eddy_dataset::Dataset;
 use eddy_evaluation::LinearFit;
 use eddy_frames::Material;
 use eddy_inference::checkpoint::{
-    Architecture, Checkpoint, Description, ElasticRule, Rules, TrainingSummary, WeightFormat,
+    Architecture, Checkpoint, Description, ElasticRule, MATERIAL_INPUTS, Rules, TrainingSummary,
+    WeightFormat,
 };
 
 /// The description of the untrained network.
@@ -34,9 +35,12 @@ pub(super) fn describe(
     let streams = splits.into_iter().flatten();
     let materials: BTreeSet<Material> =
         streams.flat_map(|stream| stream.material.iter().copied()).collect();
+    // Sand is the only material beyond those that every network has inputs for.
+    let known = materials.last().map_or(0, |&last| last as usize + 1);
+    let material_inputs = known.max(MATERIAL_INPUTS);
     let elastic = elastic_rule(config, dataset.spacing, first.dt)?;
     Ok(Description {
-        format_version: Description::version(Material::COUNT),
+        format_version: Description::version(material_inputs),
         architecture: config.architecture,
         core: config.core,
         form: config.network.form,
@@ -50,7 +54,7 @@ pub(super) fn describe(
         warm_up: config.windows.warm_up as u32,
         gravity: config.gravity,
         materials: materials.into_iter().collect(),
-        material_inputs: Material::COUNT,
+        material_inputs,
         data: dataset.digest.clone(),
         sizes: config.sizes(particles),
         frame: config.network.frame,

@@ -14,7 +14,7 @@ use super::{
 use eddy_inference::checkpoint::Description;
 
 /// Version of the format. It increases when older records would be misread.
-pub(super) const RECORD_VERSION: u32 = 1;
+pub(super) const RECORD_VERSION: u32 = 2;
 
 /// What a run starts from, in messages.
 pub(super) fn start_name(digest: &Option<String>) -> String {
@@ -264,7 +264,7 @@ mod tests {
         #[test]
         fn a_record_is_read_as_it_was_written(
             epochs in prop::collection::vec(epoch(), 1..4),
-            common in prop::collection::vec(prop::array::uniform4(prop::array::uniform2(number())), 0..4),
+            common in prop::collection::vec(prop::array::uniform5(prop::array::uniform2(number())), 0..4),
             seconds in number(),
             seed: u64,
             drops: bool,

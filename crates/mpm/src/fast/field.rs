@@ -3,7 +3,7 @@
 use super::{
     super::{
         attractor::Attractor,
-        grid::{GridShape, LEAST_OPEN, WALL_CELLS, open_along},
+        grid::{GridShape, LEAST_OPEN, WALL_CELLS, at_walls, open_along},
         solver::SolverSettings,
         step::Step,
         water::{LEAST_LIQUID, MAX_AREA, Settling},
@@ -93,8 +93,10 @@ fn rows<T>(nodes: &[T], at: usize, stride: usize) -> [&[T; GROUP]; 3] {
 pub(super) struct Forces {
     /// Velocity bounds for rows at the lower wall, between the walls and at the upper wall.
     walls: [Walls; 3],
-    /// Nodes along x.
-    rows: usize,
+    /// Nodes along x and y.
+    sides: [usize; 2],
+    /// Coefficient of friction at the walls.
+    friction: f32,
     /// Cell width (domain lengths).
     dx: f32,
     /// Length of the substep (s).
@@ -193,10 +195,22 @@ impl Forces {
     ) -> Self {
         let SolverSettings { grid: shape, dt, .. } = *settings;
         let sides = shape.cells.map(|cells| cells as usize + 1);
-        let rows = sides[0];
-        let walls = [0, rows / 2, rows - 1].map(|row| Walls::new(row, sides));
+        let walls = [0, sides[0] / 2, sides[0] - 1].map(|row| Walls::new(row, sides));
         let areas = step.settling.map(|settling| Areas::new(sides, step, settling));
-        Self { walls, rows, dx: shape.dx, dt, fall: settings.fall(), attractor, areas }
+        let (dx, friction) = (shape.dx, step.wall_friction);
+        Self { walls, sides, friction, dx, dt, fall: settings.fall(), attractor, areas }
+    }
+
+    /// Velocities of the nodes `from..to` of a row that are at walls with friction, as in `Grid::update`.
+    fn rub(&self, row: usize, [from, to]: [usize; 2], sum: &Sum, velocity: &mut [[f32; 2]]) {
+        let [rows, columns] = self.sides;
+        let at_wall = |index: usize, side: usize| index < WALL_CELLS || index + WALL_CELLS >= side;
+        for column in (from..to).filter(|&j| at_wall(row, rows) || at_wall(j, columns)) {
+            let mass = sum.mass[column].max(f32::MIN_POSITIVE);
+            let ([x, y], pull) = (sum.momentum[column], sum.pull[column]);
+            let free = [x / mass + pull[0], y / mass - self.fall + pull[1]];
+            velocity[column] = at_walls(free, [row, column], self.sides, self.friction);
+        }
     }
 
     /// Velocity that an attractor adds to the nodes of a row in a substep.
@@ -237,7 +251,8 @@ impl Work for Update<'_> {
         if let Some(attractor) = &forces.attractor {
             forces.pull(attractor, row, &mut sum.pull);
         }
-        let at_wall = usize::from(row >= WALL_CELLS) + usize::from(row + WALL_CELLS >= forces.rows);
+        let at_wall =
+            usize::from(row >= WALL_CELLS) + usize::from(row + WALL_CELLS >= forces.sides[0]);
         let Walls { least, most } = &forces.walls[at_wall];
         let fall = simd.repeat(&[0.0, forces.fall]);
         let lightest = simd.splat_pairs(f32::MIN_POSITIVE);
@@ -254,6 +269,9 @@ impl Work for Update<'_> {
             let free = simd.load_pairs(momentum) / mass - fall + simd.load_pairs(pull);
             let above = simd.max_pairs(simd.load_pairs(least), free);
             simd.store_pairs(simd.min_pairs(simd.load_pairs(most), above), velocity);
+        }
+        if forces.friction > 0.0 {
+            forces.rub(row, [from, to], sum, velocity);
         }
     }
 }

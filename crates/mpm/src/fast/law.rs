@@ -1,12 +1,14 @@
-//! The constitutive model for a pack, without branches, as [`constitutive`](super::super::constitutive) and
-//! [`water`](super::super::water).
+//! The constitutive model for a pack, without branches, as [`constitutive`](super::super::constitutive),
+//! [`water`](super::super::water) and [`sand`](super::super::sand).
 
 use super::{
     super::{
         material::{
-            JELLY_STIFFNESS, Law, Moduli, ROPE_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
-            SNOW_HARDENING_RANGE, SNOW_HARDENING_SERIES, SNOW_STRETCH,
+            EXPONENTIAL_SERIES, JELLY_STIFFNESS, LOGARITHM_SERIES, Lame, Law, Moduli,
+            ROPE_STIFFNESS, SAND_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
+            SNOW_HARDENING_RANGE, SNOW_STRETCH,
         },
+        sand,
         water::max_area,
     },
     pack::Pack,
@@ -27,11 +29,17 @@ type Matrices<S> = [<S as Simd>::Lanes; 4];
 #[inline(always)]
 pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f32) -> Stress<S> {
     let (is_liquid, is_snow) = (is(simd, pack, Material::Liquid), is(simd, pack, Material::Snow));
-    let liquids = simd.count(is_liquid);
+    let is_sand = is(simd, pack, Material::Sand);
+    let (liquids, sands) = (simd.count(is_liquid), simd.count(is_sand));
     let affine = load(simd, &pack.affine);
     let trial = trial(simd, pack, &affine, dt);
     if liquids == LANES {
         let (deformation, stress) = liquid(simd, &trial, &affine, moduli);
+        store(simd, pack, deformation);
+        return stress;
+    }
+    if sands == LANES {
+        let (deformation, stress) = grains(simd, pack, &trial, is_sand, moduli);
         store(simd, pack, deformation);
         return stress;
     }
@@ -41,14 +49,19 @@ pub(super) fn advance<S: Simd>(simd: S, pack: &mut Pack, moduli: &Moduli, dt: f3
     } else {
         snow(simd, pack, &trial, is_snow, moduli)
     };
-    if liquids > 0 {
-        let (liquid_deformation, liquid_stress) = liquid(simd, &trial, &affine, moduli);
+    let mut replace = |mask, (other, others): (Matrices<S>, Stress<S>)| {
         for k in 0..4 {
-            deformation[k] = simd.select(is_liquid, liquid_deformation[k], deformation[k]);
+            deformation[k] = simd.select(mask, other[k], deformation[k]);
         }
         for k in 0..3 {
-            stress[k] = simd.select(is_liquid, liquid_stress[k], stress[k]);
+            stress[k] = simd.select(mask, others[k], stress[k]);
         }
+    };
+    if liquids > 0 {
+        replace(is_liquid, liquid(simd, &trial, &affine, moduli));
+    }
+    if sands > 0 {
+        replace(is_sand, grains(simd, pack, &trial, is_sand, moduli));
     }
     store(simd, pack, deformation);
     stress
@@ -200,17 +213,99 @@ fn snow<S: Simd>(
     (deformation, stress)
 }
 
-/// [`snow_hardening`](super::super::material::snow_hardening), operation by operation.
+/// [`sand::advanced`] in the lanes with sand, operation by operation; others keep their plastic state.
 #[inline(always)]
-fn hardening<S: Simd>(simd: S, plastic: S::Lanes) -> S::Lanes {
-    let exponent = simd.splat(SNOW_HARDENING) * (simd.splat(1.0) - plastic);
-    let x = simd.splat(0.125) * simd.clamp(exponent, SNOW_HARDENING_EXPONENTS);
-    let [first, rest @ ..] = SNOW_HARDENING_SERIES;
+fn grains<S: Simd>(
+    simd: S,
+    pack: &mut Pack,
+    trial: &Matrices<S>,
+    is_sand: S::Mask,
+    moduli: &Moduli,
+) -> (Matrices<S>, Stress<S>) {
+    let (zero, one, half) = (simd.splat(0.0), simd.splat(1.0), simd.splat(0.5));
+    let Lame { mu, lambda } = moduli.lame;
+    let lame = Lame { mu: mu * SAND_STIFFNESS, lambda: lambda * SAND_STIFFNESS };
+    let [xx, xy, yx, yy] = *trial;
+    let (a, b, c, d) = (half * (xx + yy), half * (yx - xy), half * (xx - yy), half * (yx + xy));
+    let (q, r) = (simd.sqrt(a * a + b * b), simd.sqrt(c * c + d * d));
+    let undirected = simd.less(q, simd.splat(MIN_LENGTH)) | simd.less(r, simd.splat(MIN_LENGTH));
+    let turn = |part: S::Lanes, length: S::Lanes, otherwise: S::Lanes| {
+        simd.select(simd.less(length, simd.splat(MIN_LENGTH)), otherwise, part / length)
+    };
+    let (cos, sin) = (turn(a, q, one), turn(b, q, zero));
+    let (along, across) = (turn(c, r, one), turn(d, r, zero));
+
+    let plastic = simd.load(&pack.plastic);
+    let gained = plastic - one;
+    let of = |stretch: S::Lanes| logarithm(simd, simd.clamp(stretch, sand::STRETCH));
+    let (large, small) = (of(q + r), of(q - r));
+    let (mean, shear) = (half * (large + small + gained), half * (large - small));
+    let most = simd.splat(sand::slope(lame)) * (zero - mean);
+    let parts = simd.at_least(mean, zero);
+    let slides = simd.less(most, shear);
+    let kept = simd.select(slides, most, shear);
+
+    // Where grains have parted, a rotation is left.
+    let kept = simd.select(parts, zero, kept);
+    let compressed = simd.select(parts, zero, mean);
+    let changed = slides | parts | simd.less(zero, gained);
+    let of_changed =
+        |changed_to: S::Lanes, before: S::Lanes| simd.select(changed, changed_to, before);
+    let (first, second) =
+        (exponential(simd, compressed + kept), exponential(simd, compressed - kept));
+    let (p, s) = (half * (first + second), half * (first - second));
+    let (e, g, h, k) = (p * cos, p * sin, s * along, s * across);
+    let deformation = [
+        of_changed(e + h, xx),
+        of_changed(k - g, xy),
+        of_changed(g + k, yx),
+        of_changed(e - h, yy),
+    ];
+    let left = simd.select(parts, one + (mean + mean), one);
+    simd.store(simd.select(is_sand, left, plastic), &mut pack.plastic);
+
+    let pressure = simd.splat(2.0 * (lame.lambda + lame.mu)) * compressed;
+    let tangent = simd.splat(2.0 * lame.mu) * kept;
+    let (axis_cos, axis_sin) = (cos * along - sin * across, cos * across + sin * along);
+    let axis_cos = simd.select(undirected, one, axis_cos);
+    let axis_sin = simd.select(undirected, zero, axis_sin);
+    let (normal, shear) = (tangent * axis_cos, tangent * axis_sin);
+    (deformation, [pressure + normal, shear, pressure - normal])
+}
+
+/// [`logarithm`](super::super::material::logarithm), operation by operation.
+#[inline(always)]
+fn logarithm<S: Simd>(simd: S, x: S::Lanes) -> S::Lanes {
+    let one = simd.splat(1.0);
+    let root = simd.sqrt(simd.sqrt(x));
+    let z = (root - one) / (root + one);
+    let square = z * z;
+    let [first, rest @ ..] = LOGARITHM_SERIES;
+    let mut series = simd.splat(first);
+    for coefficient in rest {
+        series = simd.splat(coefficient) + square * series;
+    }
+    z * series
+}
+
+/// [`exponential`](super::super::material::exponential), operation by operation.
+#[inline(always)]
+fn exponential<S: Simd>(simd: S, x: S::Lanes) -> S::Lanes {
+    let x = simd.splat(0.125) * x;
+    let [first, rest @ ..] = EXPONENTIAL_SERIES;
     let mut eighth = simd.splat(first);
     for coefficient in rest {
         eighth = simd.splat(coefficient) + x * eighth;
     }
     let fourth = eighth * eighth;
     let half = fourth * fourth;
-    simd.clamp(half * half, SNOW_HARDENING_RANGE)
+    half * half
+}
+
+/// [`snow_hardening`](super::super::material::snow_hardening), operation by operation.
+#[inline(always)]
+fn hardening<S: Simd>(simd: S, plastic: S::Lanes) -> S::Lanes {
+    let exponent = simd.splat(SNOW_HARDENING) * (simd.splat(1.0) - plastic);
+    let exponent = simd.clamp(exponent, SNOW_HARDENING_EXPONENTS);
+    simd.clamp(exponential(simd, exponent), SNOW_HARDENING_RANGE)
 }

@@ -57,6 +57,60 @@ proptest! {
     }
 }
 
+/// A column of sand beside one of liquid, on a rough floor, some substeps after they are let go.
+fn sand_beside_liquid(warm: u32) -> Solver {
+    let grid = GridShape::unit(64);
+    let spacing = 0.5 * grid.dx;
+    let column = |left: f32, columns: usize, material: Material| {
+        (0..columns * 60).map(move |k| {
+            let place = [left + (k / 60) as f32 * spacing, 0.05 + (k % 60) as f32 * spacing];
+            Particle::at_rest(place, material)
+        })
+    };
+    let particles = column(0.05, 33, Material::Sand).chain(column(0.32, 21, Material::Liquid));
+    let materials = Materials { wall_friction: 0.7, ..Materials::default() };
+    let present = [Material::Sand, Material::Liquid];
+    let (substeps, _) = minimum_substeps(&present, &materials, grid.dx, 3.0, 0.016);
+    let dt = FRAME_INTERVAL / substeps as f32;
+    let settings = SolverSettings { grid, spacing, materials, dt, gravity: GRAVITY, threads: 1 };
+    let mut solver = Solver::new(particles.collect(), settings).unwrap();
+    solver.run(warm).unwrap();
+    solver
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6, ..ProptestConfig::default() })]
+
+    #[test]
+    fn sand_and_rough_walls_move_as_in_the_plain_solver(warm in 0u32..3000) {
+        let mut fast = sand_beside_liquid(warm);
+        let mut plain = fast.clone();
+        fast.run(20).unwrap();
+        plain.run_plain(20).unwrap();
+        let mut positions: Vec<f32> = difference(fast.particles(), plain.particles()).collect();
+        positions.sort_by(f32::total_cmp);
+        let (most, all) = (positions[positions.len() * 99 / 100], positions[positions.len() - 1]);
+        prop_assert!(most < 1e-6 && all < 1e-5, "positions differ by {most}, at most by {all}");
+    }
+}
+
+#[test]
+fn sand_and_rough_walls_have_the_same_bits_with_all_vector_instructions_and_numbers_of_threads() {
+    let start = sand_beside_liquid(0);
+    let mut expected = start.clone();
+    expected.run(800).unwrap();
+    let parted =
+        |particle: &&Particle| particle.material == Material::Sand && particle.plastic > 1.0;
+    assert!(expected.particles().iter().filter(parted).count() > 10, "grains have parted");
+    for level in Level::present() {
+        for threads in [1, 3] {
+            let mut found = start.clone().with_level(level, threads);
+            found.run(800).unwrap();
+            assert!(found.particles() == expected.particles(), "{level:?}, {threads} threads");
+        }
+    }
+}
+
 #[test]
 fn all_vector_instructions_and_numbers_of_threads_give_the_same_bits() {
     let mixed = (0..).map(|id| Scene::generate(Preset::MultiMaterial, 7, id));
@@ -90,7 +144,7 @@ fn sorting_on_several_threads_gives_the_same_bits() {
     let particles = (0..20_000).map(|k| {
         let position = [0.2 + (k % 200) as f32 * spacing, 0.02 + (k / 200) as f32 * spacing];
         let velocity = [3.0, -1.0];
-        Particle { velocity, ..Particle::at_rest(position, Material::ALL[k % 4]) }
+        Particle { velocity, ..Particle::at_rest(position, Material::ALL[k % Material::COUNT]) }
     });
     let settings = SolverSettings {
         grid,

@@ -24,6 +24,7 @@
 mod elastic;
 mod jelly;
 mod rope;
+mod sand;
 mod snow;
 mod thrown;
 mod water;

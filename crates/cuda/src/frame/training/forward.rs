@@ -9,7 +9,7 @@ use crate::{
         AXES, Constants,
         frame::{
             cells::{ActivationForward, CellsForward, Dropout},
-            encoder::{Encode, EncodeTensor, Pool, SUMS},
+            encoder::{Encode, EncodeTensor, Pool},
             loss::{Advance, Density},
         },
         training::batch_loss::Loss,
@@ -36,7 +36,8 @@ impl Training {
     fn means(&self, first: usize, frames: usize) -> Result<()> {
         let (batch, rows) = (self.settings.batch, frames * self.settings.batch);
         let Constants { encoder, particles, .. } = self.constants;
-        let sums = self.at(&self.sums, first, self.chunks * SUMS * encoder);
+        let sums =
+            self.at(&self.sums, first, self.chunks * self.constants.encoder_sums() * encoder);
         let pooled = self.at(&self.pooled, first, self.constants.pooled_columns());
         let states = self.at(&self.states, first, particles);
         let (windows, progress) = (self.tables.windows.pointer(), self.tables.progress.pointer());

@@ -5,7 +5,7 @@ use crate::{
     error::Result,
     frame::maximum::Points,
     kernels::{
-        AXES, Constants, MATERIALS,
+        Constants,
         frame::maximum::{
             EncodePoints, Largest, MaximumGradient, MaximumPointsGradient, MaximumSlopes,
             MaximumSum, MeanPart,
@@ -54,7 +54,7 @@ impl Maximum {
                 .mean()
                 .then(|| numbers(rows * constants.hidden_columns()))
                 .transpose()?,
-            parts: numbers(hidden * (2 * AXES + MATERIALS) * encoder)?,
+            parts: numbers(hidden * constants.encoder_inputs() * encoder)?,
             slopes: (settings.unroll > 1)
                 .then(|| List::new(device, settings.batch * hidden))
                 .transpose()?,

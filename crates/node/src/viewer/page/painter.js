@@ -12,7 +12,7 @@ uniform vec2 centre;                    // of the view, 0 to 1 across the domain
 uniform vec2 extent;                    // of the domain, 1 if it is as large as the plot
 uniform float size;
 uniform int colouring;                  // 0 material, 1 speed, 2 error, 3 plain
-uniform vec3 materials[4];
+uniform vec3 materials[5];
 uniform vec3 scale[9];
 uniform float from;                     // start of the scale
 uniform vec2 limits;                    // offset and factor from a level to a position on the scale
@@ -27,7 +27,7 @@ void main() {
   gl_Position = vec4(2.0 * (position - centre) * extent, 0.0, 1.0);
   gl_PointSize = size;
   float level = colouring == 1 ? speed * speed : error;
-  colour = colouring == 0 ? materials[min(material, 3u)]
+  colour = colouring == 0 ? materials[min(material, 4u)]
     : colouring == 3 ? plain : shade((level - limits.x) * limits.y);
 }`;
 
