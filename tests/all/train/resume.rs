@@ -274,8 +274,8 @@ fn what_is_damaged_or_newer_is_refused_by_name() {
         bytes[last] ^= 1;
         bytes
     };
-    let newer = replaced("format_version = 1", "format_version = 99");
-    damaged("last/resume.toml", &newer, &["format_version: found 99, expected 1"]);
+    let newer = replaced("format_version = 2", "format_version = 99");
+    damaged("last/resume.toml", &newer, &["format_version: found 99, expected 2"]);
     let newer = replaced("format_version = 2", "format_version = 99");
     damaged("last/model.toml", &newer, &["format_version: found 99, expected 1 to 3"]);
     damaged("model.toml", &newer, &["format_version: found 99, expected 1 to 3"]);
