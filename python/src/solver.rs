@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use eddy_dataset::available_memory;
-use eddy_mpm::{Law, Settings, Simulation};
+use eddy_mpm::{Law, Pose, Settings, Simulation};
 use pyo3::{prelude::*, types::PyDict};
 
 use crate::{
@@ -92,6 +92,30 @@ impl Solver {
             simulation.displace(next).map_err(raise::<SimulationError>)
         };
         detached(py, &self.simulation, displace)
+    }
+
+    /// Moves the tools of the scene by hand, in place of their keyframes: float32 [T, 3] with x, y (domain lengths) and the angle (rad) that
+    /// each has at the next frame. It rests there until it is moved again. To be called after the first frame.
+    fn move_tools(&self, py: Python<'_>, poses: &Bound<'_, PyAny>) -> PyResult<()> {
+        let poses = Argument::<f32>::new("poses", poses, &[None, Some(3)])?;
+        let pose = |&[x, y, angle]: &[f32; 3]| Pose { position: [x, y], angle };
+        let poses: Vec<Pose> = poses.rows::<3>().iter().map(pose).collect();
+        let moved = detached(py, &self.simulation, |simulation| simulation.move_tools(&poses));
+        moved.map_err(raise::<SimulationError>)
+    }
+
+    /// What each tool has got from matter in the interval before the last frame: `impulse` x, y (density x domain lengths^3 per s; the mean
+    /// force is this by dt), `angular_impulse` about its position, and `work` of matter on it (density x domain lengths^4 per s^2).
+    fn tool_loads<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let loads = detached(py, &self.simulation, |simulation| simulation.loads());
+        let load = |load: eddy_mpm::ToolLoad| {
+            let parts = PyDict::new(py);
+            parts.set_item("impulse", (load.impulse[0], load.impulse[1]))?;
+            parts.set_item("angular_impulse", load.angular)?;
+            parts.set_item("work", load.work)?;
+            Ok(parts)
+        };
+        loads.into_iter().map(load).collect()
     }
 
     /// The present energy: `kinetic`, `elastic`, `potential` (density x domain lengths^4 per s^2).

@@ -54,6 +54,37 @@ def test_wrong_settings_are_named(options: dict[str, object], error: type[Except
         eddy.Solver(eddy.Scene.generate("kinds"), **options)  # type: ignore[arg-type]
 
 
+def test_tools_move_by_hand_and_say_what_pushes_them() -> None:
+    scene = eddy.Scene(
+        {
+            "bodies": [{"material": "jelly", "position": [0.5, 0.2], "shape": {"rectangle": {"size": [0.2, 0.2]}}}],
+            "tools": [
+                {
+                    "name": "disc",
+                    "shape": {"disc": {"radius": 0.05}},
+                    "contact": {"friction": 0.2},
+                    "keyframes": [{"time": 0.0, "position": [0.3, 0.2]}],
+                }
+            ],
+        }
+    )
+    solver = eddy.Solver(scene, duration=0.4)
+    first = solver.step()
+    assert first is not None
+    impulse = 0.0
+    for frame in range(10):
+        solver.move_tools(np.array([[0.3 + 0.01 * frame, 0.2, 0.0]], np.float32))
+        last = solver.step()
+        assert last is not None
+        impulse += solver.tool_loads()[0]["impulse"][0]
+    assert last.position[:, 0].mean() > first.position[:, 0].mean() + 0.01, "the disc pushes the block"
+    assert impulse < 0.0, "which pushes back"
+    with pytest.raises(ValueError, match=r"poses: found shape \[1, 2\], expected shape \[N, 3\]"):
+        solver.move_tools(np.zeros((1, 2), np.float32))
+    with pytest.raises(eddy.SimulationError, match="tools: found 2 poses, expected 1"):
+        solver.move_tools(np.zeros((2, 3), np.float32))
+
+
 def test_an_unknown_preset_is_named() -> None:
     with pytest.raises(ValueError, match="preset: unknown variant `sand`, expected one of"):
         eddy.Scene.generate("sand")  # type: ignore[arg-type]

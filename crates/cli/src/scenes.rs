@@ -16,7 +16,9 @@ use eddy_settings::{self as config, usage::Usage};
 use crate::{Device, values};
 
 /// Scene files within the program, by their names for `--preset`.
-const SHIPPED: [(&str, &str); 7] = [
+const SHIPPED: [(&str, &str); 9] = [
+    ("blade", include_str!("../scenes/blade.toml")),
+    ("cup", include_str!("../scenes/cup.toml")),
     ("dam-break", include_str!("../scenes/dam_break.toml")),
     ("fountain", include_str!("../scenes/fountain.toml")),
     ("pour", include_str!("../scenes/pour.toml")),

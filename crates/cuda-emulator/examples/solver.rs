@@ -79,7 +79,7 @@ fn scenes(count: u64) -> Result<Vec<Simulation>> {
 
 /// An interval of a solver.
 fn interval(solver: &Solver, substeps: u32) -> Interval {
-    Interval { substeps, dt: solver.settings().dt, attractor: None }
+    Interval { substeps, dt: solver.settings().dt, attractor: None, motions: Vec::new() }
 }
 
 /// Milliseconds that `work` takes, at best of several times.

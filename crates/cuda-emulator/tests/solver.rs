@@ -2,7 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot continue fails")]
 
-use std::sync::Arc;
+use std::{slice, sync::Arc};
 
 use eddy_cuda::solver::{Constants, Solvers};
 use eddy_cuda_emulator::Emulator;
@@ -118,7 +118,7 @@ proptest! {
         plain.attractor = attractor;
         let mut found = plain.clone();
         plain.run_plain(substeps).unwrap();
-        let outcomes = run(&mut solvers(), &mut [&mut found], &[Interval { dt: 1e-4, substeps, attractor }]);
+        let outcomes = run(&mut solvers(), &mut [&mut found], &[Interval { dt: 1e-4, substeps, attractor, motions: Vec::new() }]);
         prop_assert_eq!(outcomes, vec![Ok(())]);
         let [position, velocity, deformation, plastic] = differences(&plain, &found);
         // Of sand it is a sum of logarithms, two in each substep.
@@ -143,7 +143,7 @@ fn scenes_side_by_side_have_the_bits_they_have_alone() {
     let intervals: Vec<Interval> = [40, 0, 7, 25]
         .into_iter()
         .enumerate()
-        .map(|(k, substeps)| Interval { substeps, dt: dt(k), attractor: None })
+        .map(|(k, substeps)| Interval { substeps, dt: dt(k), attractor: None, motions: Vec::new() })
         .collect();
     let mut together: Vec<Solver> = (0..4).map(make).collect();
     let mut all: Vec<&mut Solver> = together.iter_mut().collect();
@@ -163,7 +163,7 @@ fn an_interval_is_the_same_in_one_run_and_in_several() {
         Solver::new(block([0.2, 0.5], [3.0, -2.0], Material::Jelly), settings(Law::Water, 2e-4))
             .unwrap()
     };
-    let interval = |substeps| Interval { substeps, dt: 2e-4, attractor: None };
+    let interval = |substeps| Interval { substeps, dt: 2e-4, attractor: None, motions: Vec::new() };
     let (mut once, mut parts) = (start(), start());
     let mut device = solvers();
     run(&mut device, &mut [&mut once], &[interval(150)]);
@@ -180,7 +180,11 @@ fn a_fast_particle_is_sorted_again_in_time() {
     let mut plain = Solver::new(particles, settings(Law::Taichi, 1e-4)).unwrap();
     let mut found = plain.clone();
     plain.run_plain(50).unwrap();
-    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 50, dt: 1e-4, attractor: None }]);
+    run(
+        &mut solvers(),
+        &mut [&mut found],
+        &[Interval { substeps: 50, dt: 1e-4, attractor: None, motions: Vec::new() }],
+    );
     assert!(plain.particles()[0].position[0] > 0.5);
     assert!(differences(&plain, &found)[0] < 1e-3);
 }
@@ -196,7 +200,11 @@ fn particles_in_one_cell_are_summed_exactly() {
     let mut plain = Solver::new(particles.collect(), settings(Law::Settling, 1e-4)).unwrap();
     let mut found = plain.clone();
     plain.run_plain(2).unwrap();
-    run(&mut solvers(), &mut [&mut found], &[Interval { substeps: 2, dt: 1e-4, attractor: None }]);
+    run(
+        &mut solvers(),
+        &mut [&mut found],
+        &[Interval { substeps: 2, dt: 1e-4, attractor: None, motions: Vec::new() }],
+    );
     let [position, velocity, ..] = differences(&plain, &found);
     assert!(position < 1e-5 && velocity < 1e-3, "{position:e} {velocity:e}");
 }
@@ -210,10 +218,11 @@ fn a_lost_particle_is_named_and_others_go_on() {
         particles[17].position = [0.8, 0.8];
         Solver::new(particles, settings(Law::Water, 1e-4)).unwrap()
     };
-    let interval = Interval { substeps: 30, dt: 1e-4, attractor: None };
+    let interval = Interval { substeps: 30, dt: 1e-4, attractor: None, motions: Vec::new() };
     for speed in [5000.0, f32::NAN, f32::INFINITY] {
         let (mut bad, mut good) = (make(speed), make(1.0));
-        let outcomes = run(&mut solvers(), &mut [&mut bad, &mut good], &[interval, interval]);
+        let outcomes =
+            run(&mut solvers(), &mut [&mut bad, &mut good], &[interval.clone(), interval.clone()]);
         assert_eq!(outcomes, vec![Err(17), Ok(())], "{speed}");
     }
 }
@@ -228,7 +237,7 @@ fn a_simulation_goes_on_from_the_particles_of_a_device() {
     device.load(&[there.solver()]).unwrap();
     let mut frames = 0;
     while let Some(interval) = there.next_interval() {
-        let lost = device.run(&[interval], &|| false).unwrap().pop().unwrap();
+        let lost = device.run(slice::from_ref(&interval), &|| false).unwrap().pop().unwrap();
         device.fetch(&mut [there.solver_mut()]);
         let outcome = there.solver().outcome(&interval, lost);
         if let Advance::Frame(found) = there.finish_interval(outcome).unwrap() {
@@ -263,7 +272,7 @@ fn thrown(material: Material, speed: f32) -> (Vec<[u64; 2]>, Option<MpmError>) {
     let mut device = solvers();
     device.load(&[simulation.solver()]).unwrap();
     while let Some(interval) = simulation.next_interval() {
-        let lost = device.run(&[interval], &|| false).unwrap().pop().unwrap();
+        let lost = device.run(slice::from_ref(&interval), &|| false).unwrap().pop().unwrap();
         device.fetch(&mut [simulation.solver_mut()]);
         let outcome = simulation.solver().outcome(&interval, lost);
         match simulation.finish_interval(outcome) {
@@ -290,6 +299,6 @@ fn an_interval_is_cancelled_between_its_rounds() {
         Solver::new(block([0.4, 0.4], [0.0; 2], Material::Jelly), settings(Law::Water, 1e-4));
     let mut device = solvers();
     device.load(&[&solver.unwrap()]).unwrap();
-    let interval = Interval { substeps: 1_000_000, dt: 1e-4, attractor: None };
+    let interval = Interval { substeps: 1_000_000, dt: 1e-4, attractor: None, motions: Vec::new() };
     assert_eq!(device.run(&[interval], &|| true), Err(MpmError::Cancelled));
 }

@@ -93,10 +93,15 @@ fn scenes(streams: &[Trajectory]) -> Result<Result<Vec<Scene>, String>, Evaluati
                 "{bag}: stream {id}: no manifest.json of `eddy simulate` with its scene beside the bag"
             )));
         };
+        let bag = stream.source.display();
         if !(scene.emitters.is_empty() && scene.drains.is_empty()) {
-            let bag = stream.source.display();
             return Ok(Err(format!(
                 "{bag}: its scene has emitters or drains; reference solvers need a fixed set of particles"
+            )));
+        }
+        if !scene.tools.is_empty() {
+            return Ok(Err(format!(
+                "{bag}: its scene has tools, which reference solvers do not move"
             )));
         }
         scenes.push(scene.clone());

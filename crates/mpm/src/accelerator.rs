@@ -6,16 +6,17 @@ use super::{
     error::MpmError,
     grid::{LEAST_OPEN, WALL_CELLS},
     material::{
-        JELLY_STIFFNESS, ROPE_STIFFNESS, SAND_FRICTION, SAND_STIFFNESS, SNOW_HARDENING,
-        SNOW_HARDENING_EXPONENTS, SNOW_HARDENING_RANGE, SNOW_STRETCH,
+        JELLY_STIFFNESS, ROPE_STIFFNESS, SAND_STIFFNESS, SNOW_HARDENING, SNOW_HARDENING_EXPONENTS,
+        SNOW_HARDENING_RANGE, SNOW_STRETCH,
     },
     sand,
     solver::Solver,
+    tool::Motion,
     water,
 };
 
 /// What a solver runs until the next frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Interval {
     /// Number of substeps.
     pub substeps: u32,
@@ -23,6 +24,8 @@ pub struct Interval {
     pub dt: f32,
     /// Acts meanwhile.
     pub attractor: Option<Attractor>,
+    /// How each tool of the solver moves meanwhile.
+    pub motions: Vec<Motion>,
 }
 
 /// A device that runs the substeps of many solvers side by side, with the forces, walls and laws of [`Solver::advance`].
@@ -59,7 +62,7 @@ pub trait Accelerator: Send {
 }
 
 /// The numbers of the laws, the walls and the attractor, by the names that the devices' programs have for them.
-pub const CONSTANTS: [(&str, f32); 19] = [
+pub const CONSTANTS: [(&str, f32); 18] = [
     ("WALL_CELLS", WALL_CELLS as f32),
     ("LEAST_OPEN", LEAST_OPEN),
     ("LEAST_LIQUID", water::LEAST_LIQUID),
@@ -75,7 +78,6 @@ pub const CONSTANTS: [(&str, f32); 19] = [
     ("SNOW_LOWEST", SNOW_STRETCH[0]),
     ("SNOW_HIGHEST", SNOW_STRETCH[1]),
     ("SAND_STIFFNESS", SAND_STIFFNESS),
-    ("SAND_FRICTION", SAND_FRICTION),
     ("SAND_LEAST", sand::STRETCH[0]),
     ("SAND_MOST", sand::STRETCH[1]),
     ("CORE", attractor::CORE),

@@ -46,7 +46,8 @@ pub(super) fn advance(particle: &mut Particle, moduli: &Moduli, dt: f32) -> Matr
             stress(trial, lame)
         }
         Material::Sand => {
-            let (elastic, gained, stress) = sand::advanced(trial, particle.plastic - 1.0, lame);
+            let gained = particle.plastic - 1.0;
+            let (elastic, gained, stress) = sand::advanced(trial, gained, lame, moduli.sand_slope);
             particle.deformation = elastic;
             particle.plastic = 1.0 + gained;
             stress
@@ -153,7 +154,7 @@ mod tests {
     fn a_liquid_keeps_its_area_and_forgets_its_shape() {
         let mut particle = Particle::at_rest([0.5, 0.5], Material::Liquid);
         particle.affine = Matrix2::new(2.0, 3.0, -1.0, 1.0);
-        let moduli = Moduli { lame: LAME, law: Law::Taichi, viscosity: 0.0 };
+        let moduli = Moduli { lame: LAME, law: Law::Taichi, viscosity: 0.0, sand_slope: 1.0 };
         let stress = advance(&mut particle, &moduli, 0.1);
         let area = 1.2 * 1.1 + 0.3 * 0.1;
         assert!((particle.deformation.determinant() - area).abs() < 1e-6);

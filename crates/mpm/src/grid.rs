@@ -1,6 +1,12 @@
 //! The background grid: converts momentum to velocity and applies gravity and walls.
 
-use super::{attractor::Attractor, material::DENSITY, spline::Stencil, step::Step};
+use super::{
+    attractor::Attractor,
+    material::DENSITY,
+    spline::Stencil,
+    step::Step,
+    tool::{Barriers, Loads},
+};
 
 /// A node of the grid.
 #[derive(Clone, Copy, Debug, Default)]
@@ -97,8 +103,6 @@ pub(super) struct Grid {
     shape: GridShape,
     /// Nodes along x and y.
     sides: [usize; 2],
-    /// Cells per domain length.
-    inverse_dx: f32,
 }
 
 impl Grid {
@@ -106,22 +110,12 @@ impl Grid {
     pub(super) fn new(shape: GridShape) -> Self {
         let sides = shape.cells.map(|cells| cells as usize + 1);
         let nodes = vec![Node::default(); sides[0] * sides[1]];
-        Self { nodes, shape, sides, inverse_dx: 1.0 / shape.dx }
+        Self { nodes, shape, sides }
     }
 
     /// Number and width of its cells.
     pub(super) fn shape(&self) -> GridShape {
         self.shape
-    }
-
-    /// Cell width (domain lengths).
-    pub(super) fn dx(&self) -> f32 {
-        self.shape.dx
-    }
-
-    /// Cells per domain length.
-    pub(super) fn inverse_dx(&self) -> f32 {
-        self.inverse_dx
     }
 
     /// Index of the node (i, j) of a stencil, each 0..3.
@@ -152,7 +146,14 @@ impl Grid {
 
     /// Converts momentum to velocity and advances it by a substep: the velocity `fall` along -y that gravity adds (domain lengths
     /// per s), the attractor if any, then the walls. Relaxes the area with the law `settling`.
-    pub(super) fn update(&mut self, step: &Step, fall: f32, attractor: Option<&Attractor>) {
+    pub(super) fn update(
+        &mut self,
+        step: &Step,
+        fall: f32,
+        attractor: Option<&Attractor>,
+        barriers: &Barriers,
+        loads: &mut Loads,
+    ) {
         let (sides, dx, dt) = (self.sides, self.shape.dx, step.dt);
         for (i, row) in self.nodes.chunks_exact_mut(sides[1]).enumerate() {
             for (j, node) in row.iter_mut().enumerate().filter(|(_, node)| node.mass > 0.0) {
@@ -164,9 +165,14 @@ impl Grid {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];
                 }
+                let particles = node.mass * step.particles_per_cell / (DENSITY * dx * dx);
+                velocity =
+                    barriers.beside([i, j].map(|k| k as f32 * dx), velocity, particles, loads);
                 node.motion = at_walls(velocity, [i, j], sides, step.wall_friction);
                 if let Some(settling) = step.settling {
-                    let open = open_share([open_along(i, sides[0]), open_along(j, sides[1])]);
+                    let behind = barriers.open([i as f32 * dx, j as f32 * dx]);
+                    let along = [open_along(i, sides[0]), open_along(j, sides[1]) * behind];
+                    let open = open_share(along);
                     let by_density = DENSITY * dx * dx * open / node.mass;
                     node.area = settling.of_node(node.mass, node.solid, node.area, by_density);
                 }

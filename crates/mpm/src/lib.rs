@@ -17,7 +17,7 @@
 //! 3. [`grid`]: convert momentum to velocity; apply gravity and walls.
 //! 4. [`g2p`]: gather velocities and their gradients; advance positions.
 //!
-//! [`fast`] does the same vectorised and on several threads; an [`accelerator`] does it for many solvers at once; [`energy`] computes the total energy, [`state`]
+//! A [`tool`] is between particles and nodes. [`fast`] does the same vectorised and on several threads; an [`accelerator`] does it for many solvers at once; [`energy`] computes the total energy, [`state`]
 //! pressure and energy of every particle.
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity
@@ -56,6 +56,7 @@ mod spline;
 mod stability;
 mod state;
 mod step;
+mod tool;
 mod water;
 
 pub use accelerator::{Accelerator, CONSTANTS, Interval};
@@ -78,6 +79,7 @@ pub use solver::{Solver, SolverSettings, Stop};
 pub use stability::minimum_substeps;
 pub use state::ParticleState;
 pub use step::Step;
+pub use tool::{Contact, Keyframe, MAX_TOOLS, Motion, Outline, Pose, Tool, ToolLoad};
 pub use water::Settling;
 
 /// Time between two frames (s).

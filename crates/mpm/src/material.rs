@@ -32,8 +32,8 @@ pub(super) const LOGARITHM_SERIES: [f32; 5] = [8.0 / 9.0, 8.0 / 7.0, 8.0 / 5.0, 
 
 /// Stiffness of sand relative to E.
 pub(super) const SAND_STIFFNESS: f32 = 1.0;
-/// Sine of the angle of internal friction of sand, 35 degrees (Klar et al. 2016): the largest shear stress relative to the pressure.
-pub(super) const SAND_FRICTION: f32 = 0.573_576_4;
+/// Angle of internal friction of sand (degrees) by default: that of dry sand.
+const SAND_FRICTION_DEGREES: f32 = 31.0;
 
 /// Minimum and maximum elastic stretch of snow before it yields.
 pub(super) const SNOW_STRETCH: [f32; 2] = [1.0 - 2.5e-2, 1.0 + 4.5e-3];
@@ -75,15 +75,28 @@ pub struct Materials {
     /// Coulomb's coefficient of friction of all matter at the walls; 0 by default: matter slips along them.
     #[serde(skip_serializing_if = "is_zero")]
     pub wall_friction: f32,
+    /// Angle of internal friction of sand (degrees), at most 60; 31 by default, that of dry sand.
+    #[serde(skip_serializing_if = "is_of_dry_sand")]
+    pub friction_angle_degrees: f32,
 }
 
 fn is_zero(number: &f32) -> bool {
     *number == 0.0
 }
 
+fn is_of_dry_sand(degrees: &f32) -> bool {
+    *degrees == SAND_FRICTION_DEGREES
+}
+
 impl Default for Materials {
     fn default() -> Self {
-        Self { stiffness: 1e3, law: Law::default(), viscosity: 0.0, wall_friction: 0.0 }
+        Self {
+            stiffness: 1e3,
+            law: Law::default(),
+            viscosity: 0.0,
+            wall_friction: 0.0,
+            friction_angle_degrees: SAND_FRICTION_DEGREES,
+        }
     }
 }
 
@@ -128,13 +141,20 @@ pub struct Moduli {
     pub law: Law,
     /// Dynamic viscosity of liquids (density x domain lengths^2 per s).
     pub viscosity: f32,
+    /// The largest half difference of the logarithmic strains of sand relative to its mean compression:
+    /// `2 mu shear <= sin(phi) 2 (lambda + mu) mean`.
+    pub sand_slope: f32,
 }
 
 impl Moduli {
     /// The moduli of these materials.
     pub(super) fn of(materials: &Materials) -> Self {
-        let Materials { stiffness, law, viscosity, .. } = *materials;
-        Self { lame: Lame::of(stiffness), law, viscosity: viscosity * DENSITY }
+        let Materials { stiffness, law, viscosity, friction_angle_degrees, .. } = *materials;
+        let lame = Lame::of(stiffness);
+        // With the same bits on every machine.
+        let friction = libm::sinf(friction_angle_degrees.to_radians());
+        let sand_slope = friction * (lame.lambda + lame.mu) / lame.mu;
+        Self { lame, law, viscosity: viscosity * DENSITY, sand_slope }
     }
 }
 

@@ -13,6 +13,14 @@ pub(super) fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f
     Vec::<Vec<f32>>::deserialize(deserializer)?.iter().map(|numbers| two(numbers)).collect()
 }
 
+/// A list of such lists.
+pub(super) fn lists<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Vec<Vec<[f32; 2]>>, D::Error> {
+    let lists = Vec::<Vec<Vec<f32>>>::deserialize(deserializer)?;
+    lists.iter().map(|list| list.iter().map(|numbers| two(numbers)).collect()).collect()
+}
+
 fn two<E: Error>(numbers: &[f32]) -> Result<[f32; 2], E> {
     numbers.try_into().map_err(|_| {
         let found = numbers.len();

@@ -13,6 +13,7 @@ use super::{
     order::{self, ParticleOrder},
     particle::Particle,
     placement, plane,
+    tool::{self, Tool},
 };
 use eddy_frames::Material;
 
@@ -31,6 +32,8 @@ const MAX_RESOLVE: u32 = 8;
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
 /// Maximum coefficient of friction at the walls: with 10 times the normal change of velocity all motion along them is stopped.
 const MAX_FRICTION: f64 = 1e3;
+/// Maximum angle of internal friction of sand (degrees).
+const MAX_FRICTION_ANGLE: f64 = 60.0;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
 /// and the bag's chunk.
 const PARTICLE_BYTES: f64 = 384.0;
@@ -74,6 +77,9 @@ pub struct Scene {
     /// Drains of particles; none by default.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub drains: Vec<Drain>,
+    /// Tools that push matter, at most eight; none by default.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tools: Vec<Tool>,
 }
 
 /// Solver settings of a scene.
@@ -133,6 +139,7 @@ impl Default for Scene {
             bodies: Vec::new(),
             emitters: Vec::new(),
             drains: Vec::new(),
+            tools: Vec::new(),
         }
     }
 }
@@ -252,7 +259,8 @@ impl Scene {
             });
         }
         self.frames.check()?;
-        let Materials { stiffness, viscosity, wall_friction, .. } = self.materials;
+        let Materials { stiffness, viscosity, wall_friction, friction_angle_degrees, .. } =
+            self.materials;
         positive("materials.stiffness", stiffness.into(), MAX_STIFFNESS)?;
         if viscosity != 0.0 {
             positive("materials.viscosity", viscosity.into(), MAX_STIFFNESS)?;
@@ -260,6 +268,8 @@ impl Scene {
         if wall_friction != 0.0 {
             positive("materials.wall_friction", wall_friction.into(), MAX_FRICTION)?;
         }
+        let degrees = friction_angle_degrees.into();
+        positive("materials.friction_angle_degrees", degrees, MAX_FRICTION_ANGLE)?;
         self.attractor.iter().try_for_each(Attractor::check)?;
         for (index, body) in self.bodies.iter().enumerate() {
             body.check(&format!("bodies[{index}]"))?;
@@ -270,6 +280,7 @@ impl Scene {
         for (index, drain) in self.drains.iter().enumerate() {
             drain.check(&format!("drains[{index}]"))?;
         }
+        tool::check(&self.tools, self.domain)?;
         if self.bodies.is_empty() && self.emitters.is_empty() {
             return Err(MpmError::Field {
                 field: "bodies".into(),
@@ -311,6 +322,7 @@ impl Scene {
             }));
         }
         placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
+        tool::check_room(&self.tools, &particles, &owners)?;
         let mut numbered: Vec<_> = particles.into_iter().zip(owners).collect();
         self.order.sort(&mut numbered, self.spacing());
         let parts = |(particle, owner): (Particle, usize)| {
@@ -348,6 +360,11 @@ impl Scene {
                 || self.emitters.iter().any(|emitter| emitter.material == *material)
         };
         Material::ALL.into_iter().filter(occurs).collect()
+    }
+
+    /// The largest speed of a tool's surface, as far as it lies in the domain (domain lengths per s).
+    pub(super) fn fastest_tool(&self) -> f32 {
+        self.tools.iter().map(|tool| tool.fastest(self.domain)).fold(0.0, f32::max)
     }
 
     /// Estimated maximum speed of bodies: the sum of the highest initial speed, the attractor's pull and a fall through

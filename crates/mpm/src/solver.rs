@@ -9,11 +9,12 @@ use super::{
     fast::{Fast, Level, Watch},
     g2p,
     grid::{Grid, GridShape},
-    material::Materials,
+    material::{DENSITY, Materials},
     p2g,
     particle::Particle,
     state::ParticleState,
     step::Step,
+    tool::{Loads, Motion, Tool, ToolLoad, ToolMotion},
 };
 
 /// Settings of a [`Solver`].
@@ -81,6 +82,11 @@ pub struct Solver {
     fast: Fast,
     /// Acts while it is set.
     pub attractor: Option<Attractor>,
+    /// Tools, whose keyframes do not count here.
+    pub tools: Vec<Tool>,
+    /// How the tools move in the course of [`Solver::run`] and [`Solver::run_plain`].
+    pub motions: Vec<Motion>,
+    loads: Loads,
 }
 
 impl Solver {
@@ -97,6 +103,9 @@ impl Solver {
             settings,
             fast,
             attractor: None,
+            tools: Vec::new(),
+            motions: Vec::new(),
+            loads: Loads::default(),
         };
         solver.set_particles(particles)?;
         Ok(solver)
@@ -123,8 +132,9 @@ impl Solver {
     /// The index of a particle that left the grid, moved further than a cell in one substep, or has a position that is not
     /// finite; the state is then invalid.
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
-        let Self { particles, before, settings, attractor, .. } = self;
-        match self.fast.run(particles, before, substeps, settings, *attractor, None) {
+        let Self { particles, before, settings, attractor, tools, motions, loads, .. } = self;
+        let tools = (&ToolMotion { tools, motions, substeps, grid: settings.grid }, loads);
+        match self.fast.run(particles, before, substeps, settings, *attractor, tools, None) {
             Ok(()) => {
                 std::mem::swap(particles, before);
                 Ok(())
@@ -150,10 +160,11 @@ impl Solver {
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Result<(), Stop> {
         self.settings.dt = interval.dt;
-        let Self { particles, before, settings, .. } = self;
+        let Self { particles, before, settings, tools, loads, .. } = self;
         let watch = Watch { bound: Bound::of(settings), cancelled };
-        let (substeps, attractor) = (interval.substeps, interval.attractor);
-        self.fast.run(particles, before, substeps, settings, attractor, Some(&watch))?;
+        let Interval { substeps, attractor, ref motions, .. } = *interval;
+        let tools = (&ToolMotion { tools, motions, substeps, grid: settings.grid }, loads);
+        self.fast.run(particles, before, substeps, settings, attractor, tools, Some(&watch))?;
         std::mem::swap(particles, before);
         self.can_go_back = true;
         Ok(())
@@ -187,14 +198,26 @@ impl Solver {
     /// # Errors
     /// As [`Solver::run`], except that particles may move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
-        let (step, fall) = (Step::of(&self.settings), self.settings.fall());
+        let (step, fall) = (&Step::of(&self.settings), self.settings.fall());
         let volume = self.settings.volume();
         let mut grid = Grid::new(self.settings.grid);
-        for _ in 0..substeps {
+        let motion = ToolMotion {
+            tools: &self.tools,
+            motions: &self.motions,
+            substeps,
+            grid: self.settings.grid,
+        };
+        self.loads = Loads::new(self.tools.len());
+        let mut before = motion.barriers(0, step);
+        for substep in 0..substeps {
+            let particles = &mut self.particles;
             grid.clear();
-            p2g::scatter(&mut self.particles, &mut grid, &step.moduli, volume, step.dt);
-            grid.update(&step, fall, self.attractor.as_ref());
-            g2p::gather(&mut self.particles, &grid, &step)?;
+            let hidden =
+                p2g::scatter(particles, &mut grid, step, [volume, fall], &before, &mut self.loads);
+            grid.update(step, fall, self.attractor.as_ref(), &before, &mut self.loads);
+            let after = motion.barriers(substep + 1, step);
+            g2p::gather(particles, &grid, step, &hidden, [&before, &after])?;
+            before = after;
         }
         Ok(())
     }
@@ -216,6 +239,12 @@ impl Solver {
         self.before.clone_from(&self.particles);
         self.can_go_back = true;
         &mut self.particles
+    }
+
+    /// What each tool has got from matter in the last interval, or call of [`Solver::run`].
+    pub fn loads(&self) -> Vec<ToolLoad> {
+        let mass = f64::from(DENSITY * self.settings.volume());
+        self.loads.0.iter().map(|load| load.of_mass(mass)).collect()
     }
 
     /// The settings.
@@ -249,9 +278,10 @@ mod tests {
     use super::{
         super::{
             Energy, GRAVITY,
-            material::{DENSITY, Law, Moduli},
+            material::{DENSITY, Law},
             matrix::Matrix2,
             minimum_substeps,
+            tool::Barriers,
         },
         *,
     };
@@ -259,8 +289,13 @@ mod tests {
 
     const CELLS: u32 = 64;
     /// Taichi's law conserves energy in tension too.
-    const MATERIALS: Materials =
-        Materials { stiffness: 1e3, law: Law::Taichi, viscosity: 0.0, wall_friction: 0.0 };
+    const MATERIALS: Materials = Materials {
+        stiffness: 1e3,
+        law: Law::Taichi,
+        viscosity: 0.0,
+        wall_friction: 0.0,
+        friction_angle_degrees: 31.0,
+    };
 
     /// A square of 20 x 20 particles at the centre of the domain.
     fn square(material: Material) -> Vec<Particle> {
@@ -308,8 +343,10 @@ mod tests {
     fn the_grid_carries_the_mass_of_the_particles() {
         let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
         let mut grid = Grid::new(settings.grid);
-        let moduli = Moduli::of(&settings.materials);
-        p2g::scatter(&mut square(Material::Jelly), &mut grid, &moduli, settings.volume(), 1e-4);
+        let (step, given) = (Step::of(&settings), [settings.volume(), 0.0]);
+        let (barriers, mut loads) = (Barriers::default(), Loads::default());
+        let mut particles = square(Material::Jelly);
+        p2g::scatter(&mut particles, &mut grid, &step, given, &barriers, &mut loads);
         let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
         let expected = 400.0 * f64::from(DENSITY * settings.volume());
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");

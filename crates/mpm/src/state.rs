@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn pressure_is_positive_under_compression_and_water_has_no_tension() {
         let lame = Lame { mu: 400.0, lambda: 280.0 };
-        let moduli = Moduli { lame, law: Law::Water, viscosity: 0.0 };
+        let moduli = Moduli { lame, law: Law::Water, viscosity: 0.0, sand_slope: 1.0 };
         let of = |material, stretch: f32| {
             let mut particle = Particle::at_rest([0.5, 0.5], material);
             particle.deformation = Matrix2::diagonal(stretch);

@@ -118,6 +118,7 @@ impl Layout {
             strength: 0.0,
             period: 0.0,
             friction: step.wall_friction,
+            sand_slope: step.moduli.sand_slope,
         });
         self.particles += particles;
         self.largest = self.largest.max(particles);

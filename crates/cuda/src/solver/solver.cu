@@ -58,6 +58,7 @@ struct Scene {
   u32 attracted;               // 1: there is an attractor
   float centre[2], strength, period; // period 0: a single point
   float friction;              // at the walls
+  float sand_slope;            // `Moduli` of eddy-mpm
 };
 
 // How far a scene is: substep `done` begins with a gather (but for the first), and ends with a scatter (but for the last,
@@ -281,7 +282,7 @@ __device__ __forceinline__ Stress grains(const Scene& s, float4* f, float* plast
     return {0.0f, 0.0f, 0.0f};
   }
   const float mu = s.mu * real(SAND_STIFFNESS), lambda = s.lambda * real(SAND_STIFFNESS);
-  const float kept = fminf(shear, real(SAND_FRICTION) * (lambda + mu) / mu * -mean);
+  const float kept = fminf(shear, s.sand_slope * -mean);
   if (kept < shear || gained > 0.0f) {
     *plastic = 1.0f;
     const float first = exponential(mean + kept), second = exponential(mean - kept);

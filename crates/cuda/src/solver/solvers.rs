@@ -82,6 +82,12 @@ impl Solvers {
     }
 
     fn load_all(&mut self, solvers: &[&Solver]) -> Result<()> {
+        if let Some(tools) =
+            solvers.iter().map(|solver| solver.tools.len()).find(|&tools| tools > 0)
+        {
+            let setting = format!("a scene with {tools} tools");
+            return Err(CudaError::Unsupported { setting, expected: "none: `--device cpu`" });
+        }
         let layout = Layout::of(solvers);
         let (needed, free) = self.room(&layout)?;
         if needed > free {

@@ -137,9 +137,9 @@ impl Batch<'_> {
     /// Runs an interval of the scenes that have not finished theirs.
     fn run_once(&mut self, device: &mut dyn Accelerator) -> Result<(), MpmError> {
         let workers = self.workers;
-        let rest = Interval { substeps: 0, dt: 1.0, attractor: None };
+        let rest = Interval { substeps: 0, dt: 1.0, attractor: None, motions: Vec::new() };
         let next = |scene: &Running<'_>| {
-            scene.simulation.next_interval().filter(|_| scene.again).unwrap_or(rest)
+            scene.simulation.next_interval().filter(|_| scene.again).unwrap_or_else(|| rest.clone())
         };
         let intervals: Vec<Interval> = self.running.iter().map(next).collect();
         let (computed, written) = thread::scope(|scope| {

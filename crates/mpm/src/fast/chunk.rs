@@ -6,7 +6,9 @@
 use std::ops::Range;
 
 use super::{
+    super::tool::Loads,
     field::Field,
+    obstacles::Kept,
     simd::{LANES, Simd},
 };
 
@@ -43,6 +45,10 @@ pub(super) struct Chunk {
     solid: Vec<f32>,
     /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
+    /// Particles that have scattered beside a tool.
+    pub(super) kept: Vec<Kept>,
+    /// What the tools have got from its particles.
+    pub(super) loads: Loads,
     /// A particle has entered the outermost cell of the margin.
     pub(super) drifted: bool,
     /// A particle has left the patch or has a NaN position.
@@ -62,6 +68,7 @@ impl Chunk {
         self.inverse_dx = field.inverse_dx;
         self.drifted = false;
         self.lost = false;
+        self.kept.clear();
         for axis in 0..2 {
             let last = field.sides[axis] as i32 - STENCIL;
             let around =
@@ -133,6 +140,25 @@ impl Chunk {
             Some(nodes) => nodes,
             None => unreachable!("`holds` checks that the stencil lies in the patch"),
         })
+    }
+
+    /// Adds a share of a particle to the node (i, j) of the patch: its velocity, and with the law `settling` its mass as a solid and its J as
+    /// a liquid.
+    pub(super) fn add(
+        &mut self,
+        [i, j]: [usize; 2],
+        weight: f32,
+        velocity: [f32; 2],
+        of_settling: Option<[f32; 2]>,
+    ) {
+        let at = i * self.stride + j;
+        let [x, y] = self.momentum[at];
+        self.momentum[at] = [x + weight * velocity[0], y + weight * velocity[1]];
+        self.mass[at] += weight;
+        if let Some([solid, area]) = of_settling {
+            self.solid[at] += weight * solid;
+            self.area[at] += weight * area;
+        }
     }
 
     /// Whether the patch contains this row of the grid.

@@ -1,11 +1,14 @@
 //! Velocities of all nodes: sums the patches of the chunks and applies gravity and walls.
 
+use std::ops::Range;
+
 use super::{
     super::{
         attractor::Attractor,
         grid::{GridShape, LEAST_OPEN, WALL_CELLS, at_walls, open_along},
         solver::SolverSettings,
         step::Step,
+        tool::{Barriers, Loads},
         water::{LEAST_LIQUID, MAX_AREA, Settling},
     },
     chunk::Chunk,
@@ -26,6 +29,8 @@ pub(super) struct Field {
     pub(super) stride: usize,
     /// Cells per domain length.
     pub(super) inverse_dx: f32,
+    /// What tools have got from the nodes of each row (x).
+    pub(super) loads: Vec<Loads>,
 }
 
 impl Field {
@@ -41,6 +46,7 @@ impl Field {
             sides,
             stride,
             inverse_dx,
+            loads: vec![Loads::default(); sides[0]],
         }
     }
 
@@ -126,10 +132,18 @@ impl Areas {
 
     /// Writes J of the nodes `from..` of a row, as `Grid::update`.
     #[inline(always)]
-    fn write<S: Simd>(&self, simd: S, row: usize, from: usize, sum: &Sum, areas: &mut [f32]) {
+    fn write<S: Simd>(
+        &self,
+        simd: S,
+        row: usize,
+        from: usize,
+        sum: &Sum,
+        open: &[f32],
+        areas: &mut [f32],
+    ) {
         let across = simd.splat(self.open[0][row]);
         let to = from + areas.len();
-        let numbers = [&sum.mass, &sum.solid, &sum.area, &self.open[1]].map(|of| &of[from..to]);
+        let numbers = [&sum.mass, &sum.solid, &sum.area, open].map(|of| &of[from..to]);
         let (chunks, rest) = areas.as_chunks_mut::<LANES>();
         let [mass, solid, area, along] = numbers.map(|numbers| numbers.as_chunks::<LANES>().0);
         for (k, chunk) in chunks.iter_mut().enumerate() {
@@ -201,16 +215,49 @@ impl Forces {
         Self { walls, sides, friction, dx, dt, fall: settings.fall(), attractor, areas }
     }
 
-    /// Velocities of the nodes `from..to` of a row that are at walls with friction, as in `Grid::update`.
-    fn rub(&self, row: usize, [from, to]: [usize; 2], sum: &Sum, velocity: &mut [[f32; 2]]) {
+    /// Velocity along -y that gravity adds in a substep (domain lengths per s).
+    pub(super) fn fall(&self) -> f32 {
+        self.fall
+    }
+
+    /// Velocities of the nodes `from..to` of a row that are at walls with friction, or beside tools, as in `Grid::update`.
+    fn touch(
+        &self,
+        row: usize,
+        all: Range<usize>,
+        sum: &Sum,
+        near: Option<&Near<'_>>,
+        loads: &mut Loads,
+        velocity: &mut [[f32; 2]],
+    ) {
         let [rows, columns] = self.sides;
         let at_wall = |index: usize, side: usize| index < WALL_CELLS || index + WALL_CELLS >= side;
-        for column in (from..to).filter(|&j| at_wall(row, rows) || at_wall(j, columns)) {
+        let rubs = |column| self.friction > 0.0 && (at_wall(row, rows) || at_wall(column, columns));
+        let beside = |column| near.filter(|near| near.columns.contains(&column));
+        let visited = match near {
+            Some(near) if self.friction == 0.0 => near.columns.clone(),
+            _ => all,
+        };
+        for column in visited.filter(|&column| rubs(column) || beside(column).is_some()) {
             let mass = sum.mass[column].max(f32::MIN_POSITIVE);
             let ([x, y], pull) = (sum.momentum[column], sum.pull[column]);
-            let free = [x / mass + pull[0], y / mass - self.fall + pull[1]];
+            let mut free = [x / mass + pull[0], y / mass - self.fall + pull[1]];
+            if let Some(near) = beside(column) {
+                let node = [row, column].map(|k| k as f32 * self.dx);
+                free = near.barriers.beside(node, free, sum.mass[column], loads);
+            }
             velocity[column] = at_walls(free, [row, column], self.sides, self.friction);
         }
+    }
+
+    /// The nodes of a row that are near tools, among `all`.
+    fn near<'a>(&self, barriers: &'a Barriers, row: usize, all: Range<usize>) -> Option<Near<'a>> {
+        let [lower, upper] = barriers.near_row(row as f32 * self.dx)?;
+        // The casts saturate.
+        let [first, last] = [lower, upper].map(|y| (y / self.dx) as usize);
+        let columns =
+            first.clamp(all.start, all.end)..last.saturating_add(1).clamp(all.start, all.end);
+        (!columns.is_empty()).then_some(Near { barriers, columns })
     }
 
     /// Velocity that an attractor adds to the nodes of a row in a substep.
@@ -220,6 +267,12 @@ impl Forces {
             *velocity = [self.dt * pull[0], self.dt * pull[1]];
         }
     }
+}
+
+/// The nodes of a row that are near tools.
+struct Near<'a> {
+    barriers: &'a Barriers,
+    columns: Range<usize>,
 }
 
 /// The update of one row of the field from the patches that cover it.
@@ -234,6 +287,9 @@ pub(super) struct Update<'a> {
     pub(super) liquid: &'a mut [f32],
     /// Scratch buffer.
     pub(super) sum: &'a mut Sum,
+    /// Tools, if there are any, and what they have got from the nodes of the row.
+    pub(super) barriers: Option<&'a Barriers>,
+    pub(super) loads: &'a mut Loads,
 }
 
 impl Work for Update<'_> {
@@ -242,10 +298,24 @@ impl Work for Update<'_> {
     /// Nodes without mass get a velocity too, but no particle is near enough to gather it.
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { forces, row, chunks, velocity, liquid, sum } = self;
+        let Self { forces, row, chunks, velocity, liquid, sum, barriers, loads } = self;
         let Some([from, to]) = sum.add_up(row, chunks, forces.areas.is_some()) else { return };
+        let near = barriers.and_then(|barriers| forces.near(barriers, row, from..to));
         match &forces.areas {
-            Some(areas) => areas.write(simd, row, from, sum, &mut liquid[from..to]),
+            Some(areas) => {
+                let open = match &near {
+                    Some(Near { barriers, columns }) => {
+                        sum.open[from..to].copy_from_slice(&areas.open[1][from..to]);
+                        for column in columns.clone() {
+                            let node = [row, column].map(|k| k as f32 * forces.dx);
+                            sum.open[column] *= barriers.open(node);
+                        }
+                        &sum.open
+                    }
+                    None => &areas.open[1],
+                };
+                areas.write(simd, row, from, sum, open, &mut liquid[from..to]);
+            }
             None => liquid[from..to].copy_from_slice(&sum.mass[from..to]),
         }
         if let Some(attractor) = &forces.attractor {
@@ -270,8 +340,8 @@ impl Work for Update<'_> {
             let above = simd.max_pairs(simd.load_pairs(least), free);
             simd.store_pairs(simd.min_pairs(simd.load_pairs(most), above), velocity);
         }
-        if forces.friction > 0.0 {
-            forces.rub(row, [from, to], sum, velocity);
+        if forces.friction > 0.0 || near.is_some() {
+            forces.touch(row, from..to, sum, near.as_ref(), loads, velocity);
         }
     }
 }
@@ -296,6 +366,8 @@ pub(super) struct Sum {
     area: Vec<f32>,
     /// Velocity added by the attractor; zero without one.
     pull: Vec<[f32; 2]>,
+    /// Beside tools, with the law `settling`: share of each node's kernel that is open along the row.
+    open: Vec<f32>,
 }
 
 impl Sum {
@@ -307,6 +379,7 @@ impl Sum {
             solid: vec![0.0; nodes],
             area: vec![0.0; nodes],
             pull: vec![[0.0; 2]; nodes],
+            open: vec![0.0; nodes],
         }
     }
 

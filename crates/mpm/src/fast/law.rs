@@ -240,7 +240,7 @@ fn grains<S: Simd>(
     let of = |stretch: S::Lanes| logarithm(simd, simd.clamp(stretch, sand::STRETCH));
     let (large, small) = (of(q + r), of(q - r));
     let (mean, shear) = (half * (large + small + gained), half * (large - small));
-    let most = simd.splat(sand::slope(lame)) * (zero - mean);
+    let most = simd.splat(moduli.sand_slope) * (zero - mean);
     let parts = simd.at_least(mean, zero);
     let slides = simd.less(most, shear);
     let kept = simd.select(slides, most, shear);

@@ -22,6 +22,7 @@ mod field;
 mod gather;
 mod law;
 mod level;
+mod obstacles;
 mod pack;
 mod scatter;
 mod simd;
@@ -41,6 +42,7 @@ use eddy_threads::{DisjointSlice, ThreadPool, share};
 
 use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
+use obstacles::Obstacles;
 use sort::Packs;
 use transfer::Pass;
 use watch::Search;
@@ -52,6 +54,7 @@ use super::{
     particle::Particle,
     solver::{SolverSettings, Stop},
     step::Step,
+    tool::{Barriers, Loads, ToolMotion},
 };
 
 pub(super) use level::Level;
@@ -106,8 +109,10 @@ impl Fast {
         substeps: u32,
         settings: &SolverSettings,
         attractor: Option<Attractor>,
+        (tools, loads): (&ToolMotion<'_>, &mut Loads),
         watch: Option<&Watch<'_>>,
     ) -> Result<(), Stop> {
+        *loads = Loads::new(tools.tools.len());
         if particles.is_empty() || substeps == 0 {
             advanced.clone_from(particles);
             return Ok(());
@@ -125,16 +130,32 @@ impl Fast {
         self.packs.cut(&mut self.chunks, step, &self.field);
         let mut done = 0;
         while done < substeps {
+            let gathered = done == 0 || !tools.tools.is_empty();
             if done > 0 {
                 self.sort(step);
             }
             self.check(watch)?;
             let most = (substeps - done).min(SORT_EVERY);
-            done += self.substeps(done == 0, most, step, forces);
+            let barriers: Vec<_> =
+                (done..=done + most).map(|substep| tools.barriers(substep, step)).collect();
+            let of_chunks = self.chunks.iter_mut().map(|chunk| &mut chunk.loads);
+            for sum in of_chunks.chain(&mut self.field.loads) {
+                *sum = Loads::new(tools.tools.len());
+            }
+            let run = self.substeps(gathered, most, step, forces, &barriers);
+            done += run;
+            self.check_lost()?;
+            // What particles keep behind tools is known in the order in which they have scattered.
+            if !tools.tools.is_empty() {
+                let moved = [&barriers[run as usize - 1], &barriers[run as usize]];
+                self.finish(step, forces, moved, loads);
+                self.check_lost()?;
+            }
+        }
+        if tools.tools.is_empty() {
+            self.finish(step, forces, [&Barriers::default(); 2], loads);
             self.check_lost()?;
         }
-        self.finish(step);
-        self.check_lost()?;
         self.check(watch)?;
         for (particle, k) in self.packs.states() {
             advanced[k as usize] = particle;
@@ -164,8 +185,16 @@ impl Fast {
     }
 
     /// Runs up to `most` substeps, up to the velocities of the nodes, and returns their number. Ends early when particles
-    /// have to be sorted or one is lost. In the very first substep the particles already have their velocities.
-    fn substeps(&mut self, first: bool, most: u32, step: &Step, forces: &Forces) -> u32 {
+    /// have to be sorted or one is lost. If they have `gathered`, they already have their velocities in the first substep. `barriers` are the
+    /// tools before each substep, and after the last.
+    fn substeps(
+        &mut self,
+        gathered: bool,
+        most: u32,
+        step: &Step,
+        forces: &Forces,
+        barriers: &[Barriers],
+    ) -> u32 {
         let (level, stride) = (self.level, self.field.stride);
         let rows = self.field.sides[0];
         let parts = self.chunks.len();
@@ -173,13 +202,18 @@ impl Fast {
         let chunks = DisjointSlice::new(&mut self.chunks);
         let velocities = DisjointSlice::new(&mut self.field.velocity);
         let liquids = DisjointSlice::new(&mut self.field.liquid);
-        let settling = step.settling.is_some();
+        let loads = DisjointSlice::new(&mut self.field.loads);
+        let (settling, fall) = (step.settling.is_some(), forces.fall());
         let mut pool = lock(&self.pool);
         let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
         pool.broadcast(threads, &|thread, barrier| {
             let mut sum = Sum::new(stride);
             for substep in 0..most {
+                let now = &barriers[substep as usize];
+                let before = &barriers[substep.saturating_sub(1) as usize];
+                let obstacles =
+                    (!now.is_empty()).then_some(Obstacles { barriers: [before, now], fall });
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
                 let (mine, velocity, liquid) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
@@ -189,19 +223,35 @@ impl Fast {
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
-                    match (first && substep == 0, settling) {
-                        (true, false) => {
-                            level.run(Pass::<false, true, false> { chunk, packs, field, step })
-                        }
-                        (true, true) => {
-                            level.run(Pass::<false, true, true> { chunk, packs, field, step })
-                        }
-                        (false, false) => {
-                            level.run(Pass::<true, true, false> { chunk, packs, field, step })
-                        }
-                        (false, true) => {
-                            level.run(Pass::<true, true, true> { chunk, packs, field, step })
-                        }
+                    match (gathered && substep == 0, settling) {
+                        (true, false) => level.run(Pass::<false, true, false> {
+                            chunk,
+                            packs,
+                            field,
+                            step,
+                            obstacles,
+                        }),
+                        (true, true) => level.run(Pass::<false, true, true> {
+                            chunk,
+                            packs,
+                            field,
+                            step,
+                            obstacles,
+                        }),
+                        (false, false) => level.run(Pass::<true, true, false> {
+                            chunk,
+                            packs,
+                            field,
+                            step,
+                            obstacles,
+                        }),
+                        (false, true) => level.run(Pass::<true, true, true> {
+                            chunk,
+                            packs,
+                            field,
+                            step,
+                            obstacles,
+                        }),
                     }
                 }
                 barrier.wait();
@@ -213,10 +263,22 @@ impl Fast {
                 for row in share(rows, thread, threads) {
                     let nodes = row * stride..(row + 1) * stride;
                     // SAFETY: each row belongs to one thread; no thread reads nodes.
-                    let (velocity, liquid) =
-                        unsafe { (velocities.part(nodes.clone()), liquids.part(nodes)) };
+                    let (velocity, liquid, loads) = unsafe {
+                        let velocity = velocities.part(nodes.clone());
+                        (velocity, liquids.part(nodes), &mut loads.part(row..row + 1)[0])
+                    };
                     let sum = &mut sum;
-                    level.run(Update { forces, row, chunks: all, velocity, liquid, sum });
+                    let barriers = (!now.is_empty()).then_some(now);
+                    level.run(Update {
+                        forces,
+                        row,
+                        chunks: all,
+                        velocity,
+                        liquid,
+                        sum,
+                        barriers,
+                        loads,
+                    });
                 }
                 let drifted = all.iter().any(|chunk| chunk.drifted);
                 barrier.wait();
@@ -231,17 +293,28 @@ impl Fast {
         done.into_inner()
     }
 
-    /// Gathers the velocities of the nodes: the end of the last substep.
-    fn finish(&mut self, step: &Step) {
-        if self.chunks.iter().any(|chunk| chunk.drifted) {
+    /// Gathers the velocities of the nodes: the end of the last substep, in which tools move as in `barriers`.
+    fn finish(
+        &mut self,
+        step: &Step,
+        forces: &Forces,
+        barriers: [&Barriers; 2],
+        loads: &mut Loads,
+    ) {
+        let obstacles =
+            (!barriers[1].is_empty()).then_some(Obstacles { barriers, fall: forces.fall() });
+        // A particle in the outermost cell of the margin does not leave the patch in one more substep.
+        if obstacles.is_none() && self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step);
         }
         let Field { velocity, liquid, stride, .. } = &self.field;
         let field = Nodes { velocity, liquid, stride: *stride };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs.packs[chunk.packs()];
-            self.level.run(Pass::<true, false, false> { chunk, packs, field, step });
+            self.level.run(Pass::<true, false, false> { chunk, packs, field, step, obstacles });
+            loads.add(&chunk.loads);
         }
+        self.field.loads.iter().for_each(|of_row| loads.add(of_row));
     }
 
     /// Checks that no particle is lost.

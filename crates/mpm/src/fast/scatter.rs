@@ -69,9 +69,12 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     chunk: &mut Chunk,
     cell: &mut CellSum<S>,
 ) {
-    let Scratch { node, offset, weight, area, solid, vectors: [lowest, along_x, along_y], .. } =
-        scratch;
+    let Scratch { node, offset, weight, area, solid, vectors, apart, .. } = scratch;
+    let [lowest, along_x, along_y] = vectors;
     for l in 0..lanes {
+        if apart >> l & 1 == 1 {
+            continue;
+        }
         let at = node[l] as usize;
         if at != cell.at {
             cell.flush::<SETTLING>(simd, chunk);

@@ -2,8 +2,8 @@ use proptest::{prelude::*, sample::select};
 
 use super::{
     super::{
-        Attractor, FRAME_INTERVAL, GRAVITY, GridShape, Law, Materials, Particle, Preset, Scene,
-        Solver, SolverSettings, minimum_substeps,
+        Attractor, Contact, FRAME_INTERVAL, GRAVITY, GridShape, Law, Materials, Motion, Outline,
+        Particle, Pose, Preset, Scene, Solver, SolverSettings, Tool, minimum_substeps,
     },
     Level,
 };
@@ -54,6 +54,81 @@ proptest! {
         positions.sort_by(f32::total_cmp);
         let (most, all) = (positions[positions.len() * 99 / 100], positions[positions.len() - 1]);
         prop_assert!(most < 1e-6 && all < 1e-5, "positions differ by {most}, at most by {all}");
+    }
+}
+
+/// Matter on and beside a thin plate that turns and a disc that moves, some substeps after it is let go.
+fn beside_tools(law: Law, contact: Contact, material: Material, warm: u32) -> Solver {
+    let grid = GridShape::unit(64);
+    let spacing = 0.5 * grid.dx;
+    let particles = (0..40 * 30).map(|k| {
+        let place = [0.31 + (k / 30) as f32 * spacing, 0.53 + (k % 30) as f32 * spacing];
+        let material = if k % 30 < 15 { material } else { Material::Liquid };
+        Particle { velocity: [0.4, -1.0], ..Particle::at_rest(place, material) }
+    });
+    let materials = Materials { law, ..Materials::default() };
+    let (substeps, _) =
+        minimum_substeps(&[Material::Liquid, material], &materials, grid.dx, 4.0, 0.016);
+    let dt = FRAME_INTERVAL / substeps as f32;
+    let settings = SolverSettings { grid, spacing, materials, dt, gravity: GRAVITY, threads: 1 };
+    let mut solver = Solver::new(particles.collect(), settings).unwrap();
+    let tool =
+        |name: &str, shape| Tool { name: name.into(), shape, contact, keyframes: Vec::new() };
+    let plate = Outline::Rectangle { size: [0.3, 0.008] };
+    solver.tools = vec![tool("plate", plate), tool("disc", Outline::Disc { radius: 0.06 })];
+    let pose = |x, y, angle| Pose { position: [x, y], angle };
+    let plate = Motion { start: pose(0.45, 0.5, -0.1), end: pose(0.45, 0.51, 0.1) };
+    let disc = Motion { start: pose(0.75, 0.6, 0.0), end: pose(0.7, 0.6, 0.5) };
+    solver.motions = vec![plate, disc];
+    solver.run(warm).unwrap();
+    solver.motions = vec![
+        Motion { start: plate.end, end: pose(0.46, 0.51, 0.2) },
+        Motion { start: disc.end, end: pose(0.66, 0.6, 1.0) },
+    ];
+    solver
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn it_moves_particles_beside_tools_like_the_plain_solver(
+        law in select(&[Law::Water, Law::Settling, Law::Taichi][..]),
+        contact in select(&[Contact::Slip, Contact::Sticky, Contact::Friction(0.5)][..]),
+        material in select(Material::ALL.to_vec()), warm in 150u32..600
+    ) {
+        let mut fast = beside_tools(law, contact, material, warm);
+        let mut plain = fast.clone();
+        fast.run(80).unwrap();
+        plain.run_plain(80).unwrap();
+        let mut positions: Vec<f32> = difference(fast.particles(), plain.particles()).collect();
+        positions.sort_by(f32::total_cmp);
+        let (most, all) = (positions[positions.len() * 99 / 100], positions[positions.len() - 1]);
+        prop_assert!(most < 4e-6 && all < 1e-4, "positions differ by {most}, at most by {all}");
+        for (found, expected) in fast.loads().iter().zip(plain.loads()) {
+            for axis in 0..2 {
+                let [found, expected] = [found, &expected].map(|load| load.impulse[axis]);
+                prop_assert!((found - expected).abs() < 1e-6 + 1e-3 * expected.abs(), "{found}, {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn beside_tools_it_has_the_same_bits_at_all_levels_and_numbers_of_threads(
+        law in select(&[Law::Water, Law::Settling][..]), warm in 0u32..300
+    ) {
+        let first = beside_tools(law, Contact::Friction(0.5), Material::Sand, warm);
+        let run = |level, threads| {
+            let mut solver = first.clone().with_level(level, threads);
+            solver.run(100).unwrap();
+            (solver.particles().to_vec(), solver.loads())
+        };
+        let expected = run(Level::widest(), 1);
+        for level in Level::present() {
+            for threads in [1, 3] {
+                prop_assert_eq!(&run(level, threads), &expected);
+            }
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use super::{
     gather::gather,
     law,
     level::Work,
+    obstacles::Obstacles,
     pack::Pack,
     scatter::{CellSum, prepare, scatter},
     simd::{LANES, Lanes, Simd, Vectors},
@@ -34,6 +35,8 @@ pub(super) struct Scratch {
     /// 1 for solids, 0 for liquids, in a pack that has any.
     pub(super) solid: Lanes,
     pub(super) has_solids: bool,
+    /// Lanes of particles beside a tool, which have scattered already, as bits.
+    pub(super) apart: u16,
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
 }
@@ -48,6 +51,7 @@ impl Scratch {
         area: [0.0; LANES],
         solid: [0.0; LANES],
         has_solids: false,
+        apart: 0,
         vectors: [[[0.0; 2]; LANES]; 3],
     };
 }
@@ -60,6 +64,8 @@ pub(super) struct Pass<'a, const GATHER: bool, const SCATTER: bool, const SETTLI
     pub(super) packs: &'a mut [Pack],
     pub(super) field: Nodes<'a>,
     pub(super) step: &'a Step,
+    /// Tools, if there are any.
+    pub(super) obstacles: Option<Obstacles<'a>>,
 }
 
 impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
@@ -69,7 +75,7 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { chunk, packs, field, step } = self;
+        let Self { chunk, packs, field, step, obstacles } = self;
         let weights = Weights::new(simd);
         if SCATTER {
             chunk.clear::<SETTLING>();
@@ -77,11 +83,16 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
         let mut sum = CellSum::zero(simd);
         let mut scratch = Scratch::EMPTY;
         let mut left = chunk.particles().len();
-        for pack in packs {
+        let kept = std::mem::take(&mut chunk.kept);
+        let mut kept = kept.as_slice();
+        for (number, pack) in packs.iter_mut().enumerate() {
             let lanes = left.min(LANES);
             left -= lanes;
             if GATHER {
                 gather(simd, &weights, pack, field, step, &mut scratch);
+                if let Some(obstacles) = &obstacles {
+                    obstacles.gather(number, pack, &mut kept, field, step);
+                }
             }
             let inverse_dx = simd.splat(step.inverse_dx);
             let [x, y] = &pack.position;
@@ -98,6 +109,10 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
                 prepare::<S, SETTLING>(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
+                if let Some(obstacles) = &obstacles {
+                    let scratch = &mut scratch;
+                    obstacles.scatter::<SETTLING>(number, pack, lanes, scratch, chunk, step);
+                }
                 if SETTLING && scratch.has_solids {
                     scatter::<S, true, true>(simd, &weights, &scratch, lanes, chunk, &mut sum);
                 } else {

@@ -15,8 +15,9 @@ use super::{
     particle::Particle,
     scene::Scene,
     solver::{Solver, SolverSettings, Stop},
-    stability::minimum_substeps,
+    stability::{TRAVEL, minimum_substeps},
     state::ParticleState,
+    tool::{Motion, Pose, Tool, ToolLoad},
 };
 use eddy_frames::{Domain, Frame, Stamp, decimal};
 
@@ -97,6 +98,8 @@ pub struct Simulation {
     refinements: u32,
     /// Intervals that needed more substeps, in order: their numbers, with those of the attractor, and their substeps.
     refined: Vec<[u64; 2]>,
+    /// How the tools move by hand in the interval that runs next, if they do, in the coordinates of frames.
+    by_hand: Option<Vec<Motion>>,
     /// Energy that the particles had at the first frame or got since then; no interval is checked before.
     budget: Option<f64>,
     /// The energy of the last frame.
@@ -148,8 +151,9 @@ impl Simulation {
             gravity: scene.solver.gravity,
             threads,
         };
-        let solver = Solver::new(particles.clone(), solver_settings)
+        let mut solver = Solver::new(particles.clone(), solver_settings)
             .map_err(|particle| diverged(&particles, particle, 0.0))?;
+        solver.tools.clone_from(&scene.tools);
         let intervals =
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
@@ -164,6 +168,7 @@ impl Simulation {
             attempt: substeps,
             refinements: 0,
             refined: Vec::new(),
+            by_hand: None,
             budget: None,
             energy,
             threads,
@@ -241,15 +246,80 @@ impl Simulation {
             return None;
         }
         let dt = (self.interval() / f64::from(self.attempt)) as f32;
+        let motions = self.motions().into_iter().map(|motion| motion.shifted(self.shift)).collect();
         if self.sequence > 0 {
-            return Some(Interval { substeps: self.attempt, dt, attractor: None });
+            return Some(Interval { substeps: self.attempt, dt, attractor: None, motions });
         }
         let attractor = self.scene.attractor.filter(|it| self.attracted < it.frames);
         let attractor =
             attractor.map(|it| Attractor { centre: it.centre.map(|x| x + self.shift), ..it });
         // The first frame of a scene is its start, unless an attractor acts before.
         let substeps = if attractor.is_some() { self.attempt } else { 0 };
-        Some(Interval { substeps, dt, attractor })
+        Some(Interval { substeps, dt, attractor, motions })
+    }
+
+    /// How each tool moves in the interval that runs next.
+    fn motions(&self) -> Vec<Motion> {
+        if let Some(motions) = &self.by_hand {
+            return motions.clone();
+        }
+        let [start, end] = [self.sequence.saturating_sub(1), self.sequence]
+            .map(|sequence| sequence as f64 * self.interval());
+        let motion = |tool: &Tool| Motion { start: tool.pose(start), end: tool.pose(end) };
+        self.scene.tools.iter().map(motion).collect()
+    }
+
+    /// Moves the tools by hand, in place of their keyframes: each is in its pose at the next frame, and rests there until it is moved
+    /// again. Before the first frame they are where the keyframes say.
+    ///
+    /// # Errors
+    /// [`MpmError::Field`] for another number of poses than of tools, a number that is not finite, a pose before the first frame, and a
+    /// way that is too long for the substeps; no tool is moved then.
+    pub fn move_tools(&mut self, poses: &[Pose]) -> Result<(), MpmError> {
+        let wrong = |field: String, found: String, expected: String| {
+            Err(MpmError::Field { field, found, expected })
+        };
+        let tools = self.scene.tools.len();
+        if poses.len() != tools || self.sequence == 0 {
+            let (found, expected) = match self.sequence {
+                0 => ("poses before the first frame".to_owned(), "poses after it".to_owned()),
+                _ => (format!("{} poses", poses.len()), format!("{tools}, one for each tool")),
+            };
+            return wrong("tools".into(), found, expected);
+        }
+        let motions: Vec<Motion> = self
+            .motions()
+            .iter()
+            .zip(poses)
+            .map(|(motion, &end)| Motion { start: motion.start, end })
+            .collect();
+        let mut needed = self.substeps;
+        for (index, (tool, motion)) in self.scene.tools.iter().zip(&motions).enumerate() {
+            let Pose { position: [x, y], angle } = motion.end;
+            if !(x.is_finite() && y.is_finite() && angle.is_finite()) {
+                let found = format!("a pose of [{x}, {y}] at an angle of {angle}");
+                return wrong(format!("tools[{index}]"), found, "finite numbers".into());
+            }
+            let way = motion.speed(tool.reach_in(self.scene.domain));
+            let cells = f64::from(way / self.solver.settings().grid.dx);
+            let most = self.scene.solver.substeps.unwrap_or(MAX_SUBSTEPS);
+            let substeps = (cells / TRAVEL).ceil();
+            if substeps > f64::from(most) {
+                let found = format!("a way of {way} domain lengths in a frame");
+                let expected = format!("at most half a cell in each of {most} substeps");
+                return wrong(format!("tools[{index}]"), found, expected);
+            }
+            // The cast is exact: checked above.
+            needed = needed.max(substeps as u32);
+        }
+        self.attempt = needed;
+        self.by_hand = Some(motions);
+        Ok(())
+    }
+
+    /// Where each tool is at the last frame.
+    pub fn poses(&self) -> Vec<Pose> {
+        self.motions().iter().map(|motion| motion.start).collect()
     }
 
     /// Goes on when the solver has run an interval with this outcome ([`Solver::advance`]): checks the particles, applies emitters and
@@ -270,11 +340,15 @@ impl Simulation {
             return Ok(Advance::Again);
         }
         self.solver.accept();
+        self.budget = self.budget.map(|budget| budget + self.driven());
         if self.attempt > self.substeps {
             let number = u64::from(self.attracted) + self.sequence;
             self.refined.push([number, self.attempt.into()]);
         }
         (self.attempt, self.refinements) = (self.substeps, 0);
+        for motion in self.by_hand.iter_mut().flatten() {
+            *motion = Motion::rest(motion.end);
+        }
         if let (0, Some(attractor)) = (self.sequence, self.scene.attractor) {
             self.attracted = (self.attracted + 1).min(attractor.frames);
             if self.attracted < attractor.frames {
@@ -319,6 +393,7 @@ impl Simulation {
         self.energy = self.solver.energy();
         let Some(budget) = self.budget else { return Ok(()) };
         let particles = self.solver.particles();
+        let budget = budget + self.driven();
         let sound = collapse::check(particles, self.solver.settings(), &self.energy, budget);
         sound.map_err(|(particle, cause)| {
             let Particle { position, material, .. } = particles[particle];
@@ -326,6 +401,11 @@ impl Simulation {
             let error = MpmError::Collapsed { particle, material, position, time, substeps, cause };
             (2.0, error)
         })
+    }
+
+    /// Energy that the tools have given to matter in the last interval.
+    fn driven(&self) -> f64 {
+        self.solver.loads().iter().map(|load| f64::max(0.0, -load.work)).sum()
     }
 
     /// Returns to the start of the interval, to run it with `factor` times as many substeps.
@@ -434,6 +514,11 @@ impl Simulation {
         (particle / self.parts(), position.map(|x| x - self.shift))
     }
 
+    /// What each tool of the scene has got from matter in the interval before the last frame.
+    pub fn loads(&self) -> Vec<ToolLoad> {
+        self.solver.loads()
+    }
+
     /// Current number of particles of a frame.
     pub fn particles(&self) -> usize {
         self.solver.particles().len() / self.parts()
@@ -477,8 +562,8 @@ impl Simulation {
 fn substeps(scene: &Scene, GridShape { cells, dx }: GridShape) -> Result<u32, MpmError> {
     let materials = &scene.materials;
     let interval = decimal(scene.frames.interval);
-    let (minimum, limit) =
-        minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
+    let speed = scene.fastest().max(scene.fastest_tool());
+    let (minimum, limit) = minimum_substeps(&scene.materials(), materials, dx, speed, interval);
     if minimum > MAX_SUBSTEPS {
         return Err(MpmError::Field {
             field: "frames.interval".into(),

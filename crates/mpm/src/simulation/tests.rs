@@ -3,7 +3,10 @@
 use rayon::prelude::*;
 
 use super::{
-    super::{Drain, Emitter, FRAME_INTERVAL, Preset, error::Limit, material::Materials},
+    super::{
+        Body, Contact, Drain, Emitter, FRAME_INTERVAL, Keyframe, Outline, Preset, Shape,
+        error::Limit, material::Materials,
+    },
     *,
 };
 use eddy_frames::Material;
@@ -246,4 +249,73 @@ fn a_factor_out_of_range_or_with_emitters_is_refused() {
     scene.drains.push(Drain { lower: [0.0; 2], upper: [0.1; 2] });
     let error = scene.check().unwrap_err().to_string();
     assert!(error.contains("found 2 with emitters or drains"), "{error}");
+}
+
+/// A disc that is pushed into a block of jelly.
+fn pushed() -> Scene {
+    let keyframe = |time, x| Keyframe { time, position: [x, 0.2], angle_degrees: 0.0 };
+    let body = Body {
+        material: Material::Jelly,
+        shape: Shape::Rectangle { size: [0.2, 0.2] },
+        position: [0.5, 0.2],
+        angle_degrees: 0.0,
+        velocity: [0.0; 2],
+        particles: None,
+    };
+    Scene {
+        bodies: vec![body],
+        tools: vec![Tool {
+            name: "disc".into(),
+            shape: Outline::Disc { radius: 0.05 },
+            contact: Contact::Friction(0.2),
+            keyframes: vec![keyframe(0.0, 0.3), keyframe(0.16, 0.4)],
+        }],
+        ..Scene::default()
+    }
+}
+
+#[test]
+fn tools_that_are_moved_by_hand_along_their_keyframes_move_the_same() {
+    let mut by_keyframes = Simulation::new(pushed(), &Settings::default()).unwrap();
+    let mut by_hand = Simulation::new(pushed(), &Settings::default()).unwrap();
+    assert_eq!(by_hand.next_frame().unwrap(), by_keyframes.next_frame().unwrap());
+    let tool = pushed().tools.remove(0);
+    let mut impulse = 0.0;
+    for frame in 1..15 {
+        by_hand.move_tools(&[tool.pose(f64::from(frame) * decimal(FRAME_INTERVAL))]).unwrap();
+        let [found, expected] =
+            [&mut by_hand, &mut by_keyframes].map(|simulation| simulation.next_frame().unwrap());
+        assert_eq!(found, expected, "frame {frame}");
+        assert_eq!(by_hand.loads(), by_keyframes.loads());
+        impulse += by_hand.loads()[0].impulse[0];
+    }
+    // The disc has pushed the jelly, which pushes back.
+    assert!(impulse < -1e-3, "{impulse}");
+    // It rests where it was left.
+    let pose = by_hand.poses()[0];
+    by_hand.next_frame().unwrap();
+    assert_eq!(by_hand.poses(), [pose]);
+}
+
+#[test]
+fn a_way_by_hand_that_cannot_be_is_refused_and_nothing_moves() {
+    let mut simulation = Simulation::new(pushed(), &Settings::default()).unwrap();
+    let pose = pushed().tools[0].pose(0.0);
+    let refused = |simulation: &mut Simulation, poses: &[Pose], expected: &str| {
+        let error = simulation.move_tools(poses).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}, expected {expected}");
+    };
+    refused(&mut simulation, &[pose], "tools: found poses before the first frame");
+    simulation.next_frame().unwrap();
+    refused(&mut simulation, &[], "tools: found 0 poses, expected 1, one for each tool");
+    let [nan, far] = [f32::NAN, 1e9].map(|x| Pose { position: [x, 0.2], ..pose });
+    refused(&mut simulation, &[nan], "tools[0]: found a pose of [NaN, 0.2]");
+    refused(&mut simulation, &[far], "tools[0]: found a way of");
+    assert_eq!(simulation.poses(), [pose]);
+    // A fast one has more substeps.
+    let fast = Pose { position: [0.3, 0.9], ..pose };
+    simulation.move_tools(&[fast]).unwrap();
+    assert!(simulation.next_interval().unwrap().substeps >= 89);
+    simulation.next_frame().unwrap();
+    assert_eq!(simulation.poses(), [fast]);
 }

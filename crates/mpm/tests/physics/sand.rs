@@ -5,8 +5,8 @@ use eddy_mpm::{Energy, GridShape, Materials, Solver};
 
 use super::{block, run_for, settings};
 
-/// Friction at the walls: that of sand on sand, the tangent of 35 degrees.
-const ROUGH: f32 = 0.7;
+/// Friction at the walls: that of sand on sand, the tangent of 31 degrees.
+const ROUGH: f32 = 0.6;
 
 /// A column of `[columns, rows]` particles at the left wall of a box of two by one. Also the place of wall and floor.
 fn column(sides: [usize; 2], wall_friction: f32) -> (Solver, f32) {
@@ -33,17 +33,19 @@ fn fastest(solver: &Solver) -> f32 {
 
 #[test]
 fn a_column_of_sand_runs_out_on_a_rough_floor_and_comes_to_rest() {
-    // Lajeunesse et al. 2005, columns between walls: (L - L0) / L0 = 1.2 a for aspect ratios a up to 3, for grains with an angle of
-    // repose of 22 degrees and a rough base. Ours are rougher, 35 degrees.
-    for (aspect, sides) in [(1.0, [32, 32]), (2.0, [24, 48]), (3.0, [20, 60])] {
+    // Columns at a wall, between two walls, on a rough base: (L - L0) / L0 = 1.2 a for aspect ratios a up to 1.8 (Lube et al. 2005) or 3
+    // (Lajeunesse et al. 2005); height H / L0 = a^(1/3) from .7 on (Lajeunesse et al. 2005).
+    for (aspect, sides) in [(1.0f32, [32, 32]), (2.0, [24, 48]), (3.0, [20, 60])] {
         let (mut solver, wall) = column(sides, ROUGH);
         run_for(&mut solver, 2.0);
         let width = sides[0] as f32 * solver.settings().spacing;
-        let run_out = (front(&solver, wall) - width) / width;
+        let run_out = (front(&solver, wall) - width) / width / (1.2 * aspect);
         let top = solver.particles().iter().map(|p| p.position[1] - wall).fold(0.0, f32::max);
+        let height = top / width / aspect.cbrt();
         let speed = fastest(&solver);
-        println!("sand {aspect}: run-out {run_out}, height {}, speed {speed}", top / width);
-        assert!((0.6..1.1).contains(&(run_out / (1.2 * aspect))), "{aspect}: {run_out}");
+        println!("sand {aspect}: {run_out} of the run-out, {height} of the height, speed {speed}");
+        assert!((run_out - 1.0).abs() < 0.15, "{aspect}: {run_out}");
+        assert!((height - 1.0).abs() < 0.15, "{aspect}: {height}");
         assert!(speed < 0.02, "{aspect}: {speed}");
     }
 }

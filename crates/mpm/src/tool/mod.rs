@@ -1,0 +1,330 @@
+//! Tools: rigid bodies that move as they are told and push matter, such as a cup or a blade.
+//!
+//! A tool has an outline ([`outline`]), a law of contact and a path ([`path`]). In a substep it is a [`barrier`] between particles and
+//! nodes.
+
+mod barrier;
+mod outline;
+mod path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    error::MpmError, grid::GridShape, particle::Particle, plane, scene::positive, step::Step,
+};
+
+pub use barrier::ToolLoad;
+pub(super) use barrier::{Barriers, Hidden, Loads};
+pub use outline::Outline;
+use outline::Part;
+pub use path::{Keyframe, Motion, Pose};
+
+/// Maximum number of tools of a scene.
+pub const MAX_TOOLS: usize = 8;
+/// Maximum coefficient of friction, as of the walls.
+const MAX_FRICTION: f64 = 1e3;
+
+/// A rigid body whose motion is given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tool {
+    /// Its name, different from those of the other tools.
+    pub name: String,
+    /// Its outline, relative to its position.
+    pub shape: Outline,
+    /// What matter does at its surface; slips by default.
+    #[serde(default)]
+    pub contact: Contact,
+    /// Where it is, by time; it moves uniformly from one to the next, and rests before the first and after the last.
+    pub keyframes: Vec<Keyframe>,
+}
+
+/// What matter does at the surface of a tool.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub enum Contact {
+    /// It moves with the tool.
+    Sticky,
+    /// It slides along the surface and leaves it freely.
+    #[default]
+    Slip,
+    /// It slides against Coulomb's friction with this coefficient, and leaves the surface freely.
+    Friction(f32),
+}
+
+/// How all tools move in an interval of so many substeps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ToolMotion<'a> {
+    pub(super) tools: &'a [Tool],
+    pub(super) motions: &'a [Motion],
+    pub(super) substeps: u32,
+    pub(super) grid: GridShape,
+}
+
+impl ToolMotion<'_> {
+    /// The tools after a number of substeps.
+    pub(super) fn barriers(&self, substep: u32, step: &Step) -> Barriers {
+        Barriers::new(self, substep, step)
+    }
+}
+
+impl Contact {
+    /// The velocity of matter that meets a surface: `relative` to it, with its outward normal.
+    #[inline]
+    pub(super) fn met(self, relative: [f32; 2], normal: [f32; 2]) -> [f32; 2] {
+        let into = relative[0] * normal[0] + relative[1] * normal[1];
+        let friction = match self {
+            Self::Sticky => return [0.0; 2],
+            Self::Slip => 0.0,
+            Self::Friction(friction) => friction,
+        };
+        if into >= 0.0 {
+            return relative;
+        }
+        let along = [relative[0] - into * normal[0], relative[1] - into * normal[1]];
+        let speed = (along[0] * along[0] + along[1] * along[1]).sqrt();
+        let taken = 0.0 - friction * into;
+        if taken >= speed {
+            return [0.0; 2];
+        }
+        along.map(|v| v * (1.0 - taken / speed))
+    }
+}
+
+/// Checks tools in a domain of this size, without matter.
+///
+/// # Errors
+/// [`MpmError::Field`] for the first that is wrong, outside the domain, or overlaps another one at its start.
+pub(super) fn check(tools: &[Tool], domain: [f32; 2]) -> Result<(), MpmError> {
+    let wrong = |field: String, found: String, expected: &str| {
+        Err(MpmError::Field { field, found, expected: expected.into() })
+    };
+    if tools.len() > MAX_TOOLS {
+        let expected = format!("at most {MAX_TOOLS}");
+        return wrong("tools".into(), tools.len().to_string(), &expected);
+    }
+    for (index, tool) in tools.iter().enumerate() {
+        let field = format!("tools[{index}]");
+        tool.check(&field)?;
+        if let Some(other) = tools[..index].iter().position(|other| other.name == tool.name) {
+            let found = format!("{:?}, which is also the name of tools[{other}]", tool.name);
+            return wrong(format!("{field}.name"), found, "a name of its own");
+        }
+        let reach = tool.reach_in(domain);
+        for (number, keyframe) in tool.keyframes.iter().enumerate() {
+            let is_outside = (0..2)
+                .any(|k| keyframe.position[k] < -reach || keyframe.position[k] > domain[k] + reach);
+            if is_outside {
+                let field = format!("{field}.keyframes[{number}].position");
+                let found = format!("{:?}, outside the domain", keyframe.position);
+                return wrong(
+                    field,
+                    found,
+                    &format!("a tool that reaches into the domain of {domain:?}"),
+                );
+            }
+        }
+        for (other, before) in tools[..index].iter().enumerate() {
+            if tool.shape.overlaps(tool.pose(0.0), &before.shape, before.pose(0.0)) {
+                let found = format!("a tool that overlaps tools[{other}] at the start");
+                return wrong(
+                    field,
+                    found,
+                    "tools apart from each other; one tool may have several polygons",
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Checks that no particle begins inside a tool. `owners` has the index of each particle's body.
+///
+/// # Errors
+/// [`MpmError::Field`].
+pub(super) fn check_room(
+    tools: &[Tool],
+    particles: &[Particle],
+    owners: &[usize],
+) -> Result<(), MpmError> {
+    for (index, tool) in tools.iter().enumerate() {
+        let parts = tool.shape.posed(tool.pose(0.0));
+        let is_inside = |p: &Particle| parts.iter().any(|part| part.distance(p.position) < 0.0);
+        let inside = particles.iter().filter(|p| is_inside(p)).count();
+        if let Some(first) = particles.iter().position(is_inside) {
+            let body = owners[first];
+            return Err(MpmError::Field {
+                field: format!("tools[{index}]"),
+                found: format!(
+                    "{inside} particles inside it at the start, the first of bodies[{body}] at {:?}",
+                    particles[first].position
+                ),
+                expected: "a start beside all bodies".into(),
+            });
+        }
+    }
+    Ok(())
+}
+
+impl Tool {
+    /// Checks name, numbers and outline; `field` is the tool's name in its file.
+    pub(super) fn check(&self, field: &str) -> Result<(), MpmError> {
+        let wrong = |name: &str, found: String, expected: &str| {
+            let field = format!("{field}.{name}");
+            Err(MpmError::Field { field, found, expected: expected.into() })
+        };
+        if self.name.is_empty() {
+            return wrong("name", "an empty name".into(), "a name");
+        }
+        if let Some((name, found, expected)) = self.shape.invalid() {
+            return wrong(&format!("shape.{name}"), found, expected);
+        }
+        if let Contact::Friction(friction) = self.contact
+            && friction != 0.0
+        {
+            positive(&format!("{field}.contact.friction"), friction.into(), MAX_FRICTION)?;
+        }
+        path::check(&self.keyframes, &format!("{field}.keyframes"))
+    }
+
+    /// Where it is at a time after the first frame (s).
+    pub fn pose(&self, time: f64) -> Pose {
+        path::at(&self.keyframes, time)
+    }
+
+    /// Distance from its position of the farthest point of its surface that lies in a domain of this size (domain lengths).
+    pub(super) fn reach_in(&self, [width, height]: [f32; 2]) -> f32 {
+        self.shape.reach().min((width * width + height * height).sqrt())
+    }
+
+    /// The largest speed of its surface on its way in a domain of this size (domain lengths per s).
+    pub(super) fn fastest(&self, domain: [f32; 2]) -> f32 {
+        let reach = self.reach_in(domain);
+        let pairs = self.keyframes.windows(2);
+        let motions = pairs.map(|pair| {
+            Motion { start: pair[0].pose(), end: pair[1].pose() }.speed(reach)
+                / (pair[1].time - pair[0].time) as f32
+        });
+        motions.fold(0.0, f32::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::scene::Scene, *};
+
+    #[test]
+    fn contact_keeps_slides_or_rubs() {
+        let met = |contact: Contact| contact.met([3.0, -2.0], [0.0, 1.0]);
+        assert_eq!(met(Contact::Sticky), [0.0, 0.0]);
+        assert_eq!(met(Contact::Slip), [3.0, 0.0]);
+        assert_eq!(met(Contact::Friction(0.75)), [1.5, 0.0]);
+        assert_eq!(met(Contact::Friction(1.5)), [0.0, 0.0]);
+        assert_eq!(Contact::Friction(1.5).met([3.0, 2.0], [0.0, 1.0]), [3.0, 2.0], "it leaves");
+        assert_eq!(Contact::Sticky.met([3.0, 2.0], [0.0, 1.0]), [0.0, 0.0]);
+    }
+
+    /// The error of a scene with a block in the middle and these tools.
+    fn error(tools: &str) -> String {
+        let scene = format!(
+            r#"{{"bodies": [{{"material": "jelly", "shape": {{"rectangle": {{"size": [0.2, 0.2]}}}},
+                "position": [0.5, 0.5]}}], "tools": [{tools}]}}"#
+        );
+        match serde_json::from_str::<Scene>(&scene) {
+            Ok(scene) => scene.particles().unwrap_err().to_string(),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    #[test]
+    fn tools_that_cannot_be_are_named_with_found_and_expected() {
+        let disc = |name: &str, x: f32| {
+            format!(
+                r#"{{"name": "{name}", "shape": {{"disc": {{"radius": 0.05}}}},
+                "keyframes": [{{"time": 0.0, "position": [{x}, 0.2]}}]}}"#
+            )
+        };
+        let with = |shape: &str, contact: &str, keyframes: &str| {
+            format!(
+                r#"{{"name": "tool", "shape": {shape}, "contact": {contact}, "keyframes": [{keyframes}]}}"#
+            )
+        };
+        let place = r#"{"time": 0.0, "position": [0.2, 0.2]}"#;
+        let crossed = r#"{"polygons": {"corners": [[[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]]}}"#;
+        let many: Vec<String> = (0..9).map(|k| disc(&k.to_string(), 0.1 * k as f32)).collect();
+        let cases = [
+            (many.join(","), "tools: found 9, expected at most 8"),
+            (disc("", 0.2), "tools[0].name: found an empty name, expected a name"),
+            (
+                disc("a", 0.2) + "," + &disc("a", 0.4),
+                "tools[1].name: found \"a\", which is also the name of tools[0]",
+            ),
+            (
+                disc("a", 0.2) + "," + &disc("b", 0.29),
+                "tools[1]: found a tool that overlaps tools[0] at the start",
+            ),
+            (
+                disc("a", 1.2),
+                "tools[0].keyframes[0].position: found [1.2, 0.2], outside the domain",
+            ),
+            (
+                with(r#"{"disc": {"radius": 0}}"#, r#""slip""#, place),
+                "tools[0].shape.disc.radius: found 0, expected a positive number",
+            ),
+            (
+                with(crossed, r#""slip""#, place),
+                "tools[0].shape.polygons.corners[0]: found a corner at",
+            ),
+            (
+                with(r#""half_plane""#, r#"{"friction": -1}"#, place),
+                "tools[0].contact.friction: found -1",
+            ),
+            (
+                with(r#""half_plane""#, r#""slip""#, ""),
+                "tools[0].keyframes: found none, expected at least one",
+            ),
+            (
+                with(r#""half_plane""#, r#""slip""#, &format!("{place}, {place}")),
+                "tools[0].keyframes[1].time: found 0 after 0",
+            ),
+            (
+                with(
+                    r#"{"disc": {"radius": 0.1}}"#,
+                    r#""slip""#,
+                    r#"{"time": 0.0, "position": [0.6, 0.5]}"#,
+                ),
+                "particles inside it at the start, the first of bodies[0]",
+            ),
+            (
+                with(
+                    r#""half_plane""#,
+                    r#""slip""#,
+                    r#"{"time": 0.0, "position": [0.6, 0.5, 0.1]}"#,
+                ),
+                "found 3 numbers, expected 2",
+            ),
+        ];
+        for (tools, expected) in cases {
+            let found = error(&tools);
+            assert!(found.contains(expected), "{found}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn a_tool_that_is_faster_than_matter_makes_substeps_shorter() {
+        let fastest = |end: f32| {
+            Tool {
+                name: "tool".into(),
+                shape: Outline::Rectangle { size: [0.6, 0.8] },
+                contact: Contact::Slip,
+                keyframes: vec![
+                    Keyframe { time: 0.0, position: [0.2, 0.2], angle_degrees: 0.0 },
+                    Keyframe { time: 0.1, position: [0.5, 0.2], angle_degrees: end },
+                ],
+            }
+            .fastest([1.0; 2])
+        };
+        assert!((fastest(0.0) - 3.0).abs() < 1e-5);
+        assert!((fastest(180.0) - 3.0 - 0.5 * std::f32::consts::PI / 0.1).abs() < 1e-4);
+    }
+}
