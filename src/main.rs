@@ -9,6 +9,7 @@ mod commands;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
+use eddy_bag::BagError;
 use eddy_node::ros::{RosArguments, RosNode, Rosout};
 use tracing_subscriber::{
     EnvFilter, Layer as _, layer::SubscriberExt as _, util::SubscriberInitExt as _,
@@ -22,7 +23,24 @@ use eddy_cli::{Interrupt, logs};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    eddy_cli::exit_code("eddy", run(Cli::read()))
+    eddy_cli::exit_code("eddy", run(Cli::read()).map_err(with_advice))
+}
+
+/// Adds what can be done about a damaged bag.
+fn with_advice(error: anyhow::Error) -> anyhow::Error {
+    let is_damage = |cause: &(dyn std::error::Error + 'static)| {
+        let damage = cause.downcast_ref::<BagError>();
+        matches!(
+            damage,
+            Some(
+                BagError::Unfinished { .. } | BagError::Truncated { .. } | BagError::Corrupt { .. }
+            )
+        )
+    };
+    match error.chain().any(is_damage) {
+        true => error.context("damaged bag; `eddy bag recover` copies what can be read"),
+        false => error,
+    }
 }
 
 /// The ROS node of the command; exits with wrong usage when its arguments are invalid.

@@ -129,7 +129,10 @@ fn train_seed(
         summarize(args, config, dataset, run.output, &outcome)?;
     }
     if outcome.best.is_none() {
-        bail!("{}: interrupted before the first epoch ended", run.output.display());
+        bail!(
+            "{}: interrupted before the first epoch ended: nothing is saved, and the same command starts again",
+            run.output.display()
+        );
     }
     Ok(outcome)
 }

@@ -58,7 +58,11 @@ fn check(path: &Path, quiet: bool) -> anyhow::Result<()> {
     print_remarks(&bag, &survey);
     let findings = survey.finding_count();
     if findings > 0 {
-        bail!("{}: {} found", path.display(), counted(findings, "problem"));
+        let advice = match bag.damage() {
+            Some(_) => "; `eddy bag recover` copies what can be read",
+            None => "",
+        };
+        bail!("{}: {} found{advice}", path.display(), counted(findings, "problem"));
     }
     let messages = counted(bag.message_count(), "message");
     println!("{}: {messages}, no problems found", path.display());

@@ -6,7 +6,7 @@ use std::{
     process::ExitCode,
 };
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 
 use super::{LOSSY, export::stem, report, watch, writer_options};
 use crate::{
@@ -107,9 +107,7 @@ pub fn export_cloud(args: ExportArgs, quiet: bool, interrupt: &Interrupt) -> any
 fn open(path: &Path) -> anyhow::Result<BagReader> {
     let bag = BagReader::open(path)?;
     match bag.damage() {
-        Some(damage) => {
-            Err(damage).context("damaged bag; `eddy bag recover` copies what can be read")
-        }
+        Some(damage) => Err(damage.into()),
         None => Ok(bag),
     }
 }

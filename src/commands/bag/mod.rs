@@ -17,6 +17,7 @@ use crate::cli::{BagArgs, BagCommand, NewBagArgs};
 use eddy_bag::{BagError, BagReader, BagSummary, Compression, Survey, WriterOptions, find_bags};
 use eddy_cli::{Interrupt, progress_bar};
 use eddy_exchange::{ExchangeError, FrameSelection, Streams};
+use eddy_frames::counted;
 
 /// Exit code when something of the old bags is missing in the new one, as in `mcap recover`.
 const LOSSY: u8 = 3;
@@ -58,12 +59,10 @@ fn writer_options(new: &NewBagArgs, bags: &[BagReader]) -> WriterOptions {
 
 /// Prints what was written.
 fn report(bag: &BagSummary) {
-    println!(
-        "{}: {} messages on {} topics",
-        bag.directory.display(),
-        bag.messages,
-        bag.topics.len()
-    );
+    // The topics of different publishers are listed one by one.
+    let names: BTreeSet<&str> = bag.topics.iter().map(|topic| topic.name.as_str()).collect();
+    let topics = counted(names.len() as u64, "topic");
+    println!("{}: {} messages on {topics}", bag.directory.display(), bag.messages);
 }
 
 fn survey(bag: &BagReader, quiet: bool) -> Survey {

@@ -40,11 +40,17 @@ impl Report {
             .into_iter()
             .map(|frame| format!("{} at frame {frame}", rounded(at(&entry.skill, frame))));
         let skills: Vec<_> = skills.collect();
-        let mut sentences = vec![format!(
+        let mut sentences = Vec::new();
+        if entry.skill_intervals.is_none() {
+            sentences
+                .push("Too few scenes for an interval: other scenes may differ much.".to_owned());
+        }
+        sentences.push(format!(
             "Better than the best trivial predictor {}: skill {}.",
             better(&entry.skill),
             skills.join(", ")
-        )];
+        ));
+        sentences.extend(self.ahead_of(entry));
         let weakest = entry.kinds.iter().map(|kind| (kind.kind, at(&kind.skill, last)));
         let weakest = weakest.filter(|(_, skill)| !skill.is_nan());
         let weakest = weakest.min_by(|(_, a), (_, b)| a.total_cmp(b));
@@ -55,11 +61,14 @@ impl Report {
         }
         let all = counted(self.windows as u64, "rollout");
         let far_off = entry.blow_ups.far_off;
-        sentences.push(match entry.blow_ups.any {
-            0 => format!("None of {all} blows up, {far_off} end far off."),
-            1 => format!("1 of {all} blows up, {far_off} end far off."),
-            count => format!("{count} of {all} blow up, {far_off} end far off."),
-        });
+        let blow_up = match entry.blow_ups.any {
+            0 => format!("None of {all} blows up"),
+            1 => format!("1 of {all} blows up"),
+            count => format!("{count} of {all} blow up"),
+        };
+        sentences.push(format!(
+            "{blow_up} (three times the largest kinetic energy of the truth), {far_off} end far off (four times the error of the best trivial predictor)."
+        ));
         if let Some(cost) = &entry.cost {
             sentences.push(format!(
                 "A frame of {:.3} ms takes {:.2} ms on one thread.",
@@ -67,11 +76,21 @@ impl Report {
                 cost.p50
             ));
         }
-        if entry.skill_intervals.is_none() {
-            sentences
-                .push("Too few scenes for an interval: other scenes may differ much.".to_owned());
-        }
         sentences
+    }
+
+    /// What is ahead of a model among predictors that are no trivial ones, at the frames of the verdicts.
+    fn ahead_of(&self, entry: &Entry) -> Option<String> {
+        let others = self.predictors.iter();
+        let others = others.filter(|other| matches!(other.role, Role::LinearFit | Role::Solver));
+        let ahead = others.filter_map(|other| {
+            let is_ahead = |&frame: &usize| at(&other.skill, frame) > at(&entry.skill, frame);
+            let frames: Vec<_> = frames(entry.skill.len()).into_iter().filter(is_ahead).collect();
+            let listed: Vec<_> = frames.iter().map(usize::to_string).collect();
+            (!frames.is_empty()).then(|| format!("{} at frame {}", other.name, listed.join(", ")))
+        });
+        let ahead: Vec<_> = ahead.collect();
+        (!ahead.is_empty()).then(|| format!("Ahead of it: {}.", ahead.join("; ")))
     }
 }
 
