@@ -94,8 +94,8 @@ impl Solver {
         detached(py, &self.simulation, displace)
     }
 
-    /// Moves the tools of the scene by hand, in place of their keyframes: float32 [T, 3] with x, y (domain lengths) and the angle (rad) that
-    /// each has at the next frame. It rests there until it is moved again. To be called after the first frame.
+    /// Moves the tools of the scene by hand, in place of their keyframes: float32 [T, 3] with x, y (domain lengths) and the angle (rad, a
+    /// whole turn more is a whole turn) that each has at the next frame. It rests there until it is moved again. To be called after the first frame.
     fn move_tools(&self, py: Python<'_>, poses: &Bound<'_, PyAny>) -> PyResult<()> {
         let poses = Argument::<f32>::new("poses", poses, &[None, Some(3)])?;
         let pose = |&[x, y, angle]: &[f32; 3]| Pose { position: [x, y], angle };

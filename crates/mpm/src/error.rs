@@ -179,6 +179,9 @@ pub enum Limit {
     Sound(Material),
     /// Particles must not cross more than half a cell in a substep, given their maximum speed (domain lengths per second).
     Speed(f32),
+    /// Tools must not move further than half a cell in a substep, given the largest speed of their surfaces (domain lengths per
+    /// second).
+    Tool(f32),
     /// Matter must not be strained by more than a quarter in a substep.
     Strain(Material),
     /// Momentum must not diffuse over more than half a cell in a substep: `dt <= dx^2 / (4 nu)`, with this kinematic
@@ -191,6 +194,7 @@ impl fmt::Display for Limit {
         match self {
             Self::Sound(material) => write!(f, "sound in {}", material.name()),
             Self::Speed(speed) => write!(f, "particles of up to {speed:.1} lengths/s"),
+            Self::Tool(speed) => write!(f, "a tool that moves with {speed:.1} lengths/s"),
             Self::Strain(material) => write!(f, "fast strain in {}", material.name()),
             Self::Viscosity(viscosity) => write!(f, "a viscosity of {viscosity} lengths^2/s"),
         }

@@ -3,7 +3,7 @@
 use super::{
     constitutive,
     grid::{Grid, Node},
-    material::Law,
+    material::{DENSITY, Law},
     matrix::Matrix2,
     particle::Particle,
     spline::Stencil,
@@ -45,7 +45,7 @@ pub(super) fn advance(
     [before, after]: [&Barriers; 2],
     step: &Step,
 ) {
-    let Step { inverse_dx, dt, .. } = *step;
+    let Step { inverse_dx, dx, dt, .. } = *step;
     let (mut velocity, mut mass, mut area) = ([0.0; 2], 0.0, 0.0);
     // Velocity times the distance to the node (cells).
     let mut moment = Matrix2::ZERO;
@@ -66,10 +66,12 @@ pub(super) fn advance(
     if let Some(hidden) = hidden {
         velocity = [velocity[0] + hidden.velocity[0], velocity[1] + hidden.velocity[1]];
         moment = moment + hidden.moment;
-        // Of the nodes that it does not see it assumes the mean of the others.
+        // Of the nodes that it does not see it assumes the mean of the others, of too few of them its own state.
         let share = f32::max(seen, LEAST_SEEN);
         let own = particle.deformation.determinant();
-        (mass, area) = (mass / share, (area + (share - seen) * own) / share);
+        let own_mass = DENSITY * dx * dx / own;
+        mass = (mass + (share - seen) * own_mass) / share;
+        area = (area + (share - seen) * own) / share;
     }
     particle.affine = moment * (4.0 * inverse_dx);
     particle.velocity = velocity;

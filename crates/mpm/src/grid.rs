@@ -144,12 +144,10 @@ impl Grid {
         &self.nodes
     }
 
-    /// Converts momentum to velocity and advances it by a substep: the velocity `fall` along -y that gravity adds (domain lengths
-    /// per s), the attractor if any, then the walls. Relaxes the area with the law `settling`.
+    /// Converts momentum to velocity and advances it by a substep: gravity, the attractor if any, tools, then the walls. Relaxes the area with the law `settling`.
     pub(super) fn update(
         &mut self,
         step: &Step,
-        fall: f32,
         attractor: Option<&Attractor>,
         barriers: &Barriers,
         loads: &mut Loads,
@@ -160,7 +158,7 @@ impl Grid {
                 // A division instead of a multiplication by the inverse: inside a body all nodes have nearly the same
                 // mass, and the same rounding of its inverse everywhere would make momentum drift.
                 let mut velocity = node.motion.map(|momentum| momentum / node.mass);
-                velocity[1] -= fall;
+                velocity[1] -= step.fall;
                 if let Some(attractor) = attractor {
                     let pull = attractor.acceleration([i as f32 * dx, j as f32 * dx]);
                     velocity = [velocity[0] + dt * pull[0], velocity[1] + dt * pull[1]];

@@ -17,7 +17,7 @@
 //! 3. [`grid`]: convert momentum to velocity; apply gravity and walls.
 //! 4. [`g2p`]: gather velocities and their gradients; advance positions.
 //!
-//! A [`tool`] is between particles and nodes. [`fast`] does the same vectorised and on several threads; an [`accelerator`] does it for many solvers at once; [`energy`] computes the total energy, [`state`]
+//! Tools ([`tool`]) separate particles from nodes behind them. [`fast`] does the same vectorised and on several threads; an [`accelerator`] does it for many solvers at once; [`energy`] computes the total energy, [`state`]
 //! pressure and energy of every particle.
 //!
 //! Method: Hu et al., "A Moving Least Squares Material Point Method with Displacement Discontinuity

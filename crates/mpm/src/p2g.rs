@@ -13,7 +13,7 @@ use super::{
 use eddy_frames::Material;
 
 /// Advances the deformation of every particle by a substep and adds its mass and momentum to the grid. `volume` is the area of an
-/// undeformed particle (domain lengths^2), `fall` the velocity along -y that gravity adds. Returns what each particle keeps
+/// undeformed particle (domain lengths^2). Returns what each particle keeps
 /// behind the surfaces of tools.
 ///
 /// Node (i, j) receives `w (m v + (m C - dt vol 4/dx^2 tau) (x_ij - x))`, equation 29 of Hu et al. 2018.
@@ -21,11 +21,11 @@ pub(super) fn scatter(
     particles: &mut [Particle],
     grid: &mut Grid,
     step: &Step,
-    [volume, fall]: [f32; 2],
+    volume: f32,
     barriers: &Barriers,
     loads: &mut Loads,
 ) -> Vec<Option<Hidden>> {
-    let Step { dt, dx, inverse_dx, moduli, .. } = step;
+    let Step { dt, dx, inverse_dx, fall, moduli, .. } = step;
     let mass = DENSITY * volume;
     let impulse = -dt * volume * 4.0 * inverse_dx * inverse_dx;
     let scattered = |particle: &mut Particle| {

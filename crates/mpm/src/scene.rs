@@ -280,7 +280,7 @@ impl Scene {
         for (index, drain) in self.drains.iter().enumerate() {
             drain.check(&format!("drains[{index}]"))?;
         }
-        tool::check(&self.tools, self.domain)?;
+        tool::check(&self.tools, self)?;
         if self.bodies.is_empty() && self.emitters.is_empty() {
             return Err(MpmError::Field {
                 field: "bodies".into(),
@@ -322,7 +322,6 @@ impl Scene {
             }));
         }
         placement::check(&self.bodies, &particles, &owners, self.grid()?, self.spacing())?;
-        tool::check_room(&self.tools, &particles, &owners)?;
         let mut numbered: Vec<_> = particles.into_iter().zip(owners).collect();
         self.order.sort(&mut numbered, self.spacing());
         let parts = |(particle, owner): (Particle, usize)| {
@@ -332,7 +331,10 @@ impl Scene {
                 ..particle
             })
         };
-        Ok(numbered.into_iter().flat_map(parts).collect())
+        let bodies: Vec<usize> = numbered.iter().map(|(_, owner)| *owner).collect();
+        let particles: Vec<Particle> = numbered.into_iter().flat_map(parts).collect();
+        tool::check_room(&self.tools, &particles, &bodies)?;
+        Ok(particles)
     }
 
     /// Approximate maximum number of particles, without creating them.

@@ -39,12 +39,6 @@ impl SolverSettings {
     pub(super) fn volume(&self) -> f32 {
         self.spacing * self.spacing
     }
-
-    /// Velocity along -y that gravity adds in a substep (domain lengths per s); not -0 without gravity, which would change the sign of
-    /// velocities of zero.
-    pub(super) fn fall(&self) -> f32 {
-        self.dt * (0.0 - self.gravity)
-    }
 }
 
 /// Why an interval was not run to its end.
@@ -198,7 +192,7 @@ impl Solver {
     /// # Errors
     /// As [`Solver::run`], except that particles may move further than a cell.
     pub fn run_plain(&mut self, substeps: u32) -> Result<(), usize> {
-        let (step, fall) = (&Step::of(&self.settings), self.settings.fall());
+        let step = &Step::of(&self.settings);
         let volume = self.settings.volume();
         let mut grid = Grid::new(self.settings.grid);
         let motion = ToolMotion {
@@ -212,9 +206,8 @@ impl Solver {
         for substep in 0..substeps {
             let particles = &mut self.particles;
             grid.clear();
-            let hidden =
-                p2g::scatter(particles, &mut grid, step, [volume, fall], &before, &mut self.loads);
-            grid.update(step, fall, self.attractor.as_ref(), &before, &mut self.loads);
+            let hidden = p2g::scatter(particles, &mut grid, step, volume, &before, &mut self.loads);
+            grid.update(step, self.attractor.as_ref(), &before, &mut self.loads);
             let after = motion.barriers(substep + 1, step);
             g2p::gather(particles, &grid, step, &hidden, [&before, &after])?;
             before = after;
@@ -343,10 +336,10 @@ mod tests {
     fn the_grid_carries_the_mass_of_the_particles() {
         let settings = settings(GridShape::unit(CELLS), 1e-4, 0.0);
         let mut grid = Grid::new(settings.grid);
-        let (step, given) = (Step::of(&settings), [settings.volume(), 0.0]);
+        let (step, volume) = (Step::of(&settings), settings.volume());
         let (barriers, mut loads) = (Barriers::default(), Loads::default());
         let mut particles = square(Material::Jelly);
-        p2g::scatter(&mut particles, &mut grid, &step, given, &barriers, &mut loads);
+        p2g::scatter(&mut particles, &mut grid, &step, volume, &barriers, &mut loads);
         let found: f64 = grid.nodes().iter().map(|node| f64::from(node.mass)).sum();
         let expected = 400.0 * f64::from(DENSITY * settings.volume());
         assert!((found / expected - 1.0).abs() < 1e-6, "found {found}, expected {expected}");

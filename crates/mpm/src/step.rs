@@ -24,6 +24,9 @@ pub struct Step {
     pub settling: Option<Settling>,
     /// Coefficient of friction at the walls.
     pub wall_friction: f32,
+    /// Velocity along -y that gravity adds (domain lengths per s); not -0 without gravity, which would change the sign of velocities of
+    /// zero.
+    pub fall: f32,
     /// Material parameters.
     pub moduli: Moduli,
 }
@@ -42,6 +45,7 @@ impl Step {
             particles_per_cell: dx * dx / settings.volume(),
             settling: (moduli.law == Law::Settling).then(|| Settling::of(&moduli, inverse_dx, dt)),
             wall_friction: settings.materials.wall_friction,
+            fall: dt * (0.0 - settings.gravity),
             moduli,
         }
     }

@@ -12,8 +12,8 @@ use super::{
     simd::{LANES, Simd},
 };
 
-/// Cells that particles may drift before they are sorted again, and one more for the substep in which that is detected.
-const MARGIN: i32 = 2;
+/// Cells that particles may drift before they are sorted again.
+const DRIFT: i32 = 1;
 /// Nodes of a stencil on each axis.
 const STENCIL: i32 = 3;
 /// Rows are read and written in vectors of four nodes: this many more than the stencil needs.
@@ -35,7 +35,7 @@ pub(super) struct Chunk {
     pub(super) stride: usize,
     /// Range of positions whose stencils lie in the patch: lower bounds and exclusive upper bounds (cells).
     inside: [[f32; 2]; 2],
-    /// The same range without the outermost cell of the margin.
+    /// The same range without the cells of the margin that are for the substeps after a drift is detected.
     near: [[f32; 2]; 2],
     /// Momentum, in units of a particle's mass (domain lengths per s).
     momentum: Vec<[f32; 2]>,
@@ -45,24 +45,27 @@ pub(super) struct Chunk {
     solid: Vec<f32>,
     /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
-    /// Particles that have scattered beside a tool.
+    /// Particles that have scattered beside a tool, and the memory of those before.
     pub(super) kept: Vec<Kept>,
+    pub(super) gathered: Vec<Kept>,
     /// What the tools have got from its particles.
     pub(super) loads: Loads,
-    /// A particle has entered the outermost cell of the margin.
+    /// A particle has drifted into the last cells of the margin.
     pub(super) drifted: bool,
     /// A particle has left the patch or has a NaN position.
     pub(super) lost: bool,
 }
 
 impl Chunk {
-    /// Lays out the patch around particles whose stencils' lowest nodes lie between `least` and `most`.
+    /// Lays out the patch around particles whose stencils' lowest nodes lie between `least` and `most`. `late` is the number of substeps
+    /// from one in which particles have drifted to the next sort.
     pub(super) fn lay(
         &mut self,
         range: Range<usize>,
         least: [i32; 2],
         most: [i32; 2],
         field: &Field,
+        late: i32,
     ) {
         self.range = range;
         self.inverse_dx = field.inverse_dx;
@@ -74,9 +77,9 @@ impl Chunk {
             let around =
                 |margin: i32| [(least[axis] - margin).max(0), (most[axis] + margin).min(last)];
             let cells = |[from, to]: [i32; 2]| [from as f32 + 0.5, to as f32 + 1.5];
-            let [from, to] = around(MARGIN);
+            let [from, to] = around(DRIFT + late);
             self.inside[axis] = cells([from, to]);
-            self.near[axis] = cells(around(MARGIN - 1));
+            self.near[axis] = cells(around(DRIFT));
             self.origin[axis] = from;
             self.nodes[axis] = (to + STENCIL - from) as usize;
         }

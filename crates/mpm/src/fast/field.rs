@@ -212,12 +212,7 @@ impl Forces {
         let walls = [0, sides[0] / 2, sides[0] - 1].map(|row| Walls::new(row, sides));
         let areas = step.settling.map(|settling| Areas::new(sides, step, settling));
         let (dx, friction) = (shape.dx, step.wall_friction);
-        Self { walls, sides, friction, dx, dt, fall: settings.fall(), attractor, areas }
-    }
-
-    /// Velocity along -y that gravity adds in a substep (domain lengths per s).
-    pub(super) fn fall(&self) -> f32 {
-        self.fall
+        Self { walls, sides, friction, dx, dt, fall: step.fall, attractor, areas }
     }
 
     /// Velocities of the nodes `from..to` of a row that are at walls with friction, or beside tools, as in `Grid::update`.

@@ -8,7 +8,9 @@
 //! 2. [`transfer`]: one pass over the particles of each chunk, in the vectors of [`simd`]: gather velocities ([`gather`])
 //!    from the surrounding nodes ([`stencil`]), advance positions, update deformation and stress ([`law`]), scatter momentum
 //!    ([`scatter`]).
-//! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity and walls; what liquids follow.
+//! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity, tools and walls; what liquids follow.
+//!
+//! Particles beside tools are computed one by one, as in the plain solver ([`obstacles`]).
 //!
 //! [`level`] selects the vector instructions at run time. The results are bit-identical for all of them and any number of
 //! threads.
@@ -127,12 +129,14 @@ impl Fast {
         let forces = &Forces::new(settings, step, attractor);
         self.field.clear();
         self.packs.fill(particles, step, &self.field, &mut lock(&self.pool));
-        self.packs.cut(&mut self.chunks, step, &self.field);
+        // With tools, the velocities of the last substep are gathered before particles are sorted.
+        let late = if tools.tools.is_empty() { 1 } else { 2 };
+        self.packs.cut(&mut self.chunks, step, &self.field, late);
         let mut done = 0;
         while done < substeps {
             let gathered = done == 0 || !tools.tools.is_empty();
             if done > 0 {
-                self.sort(step);
+                self.sort(step, late);
             }
             self.check(watch)?;
             let most = (substeps - done).min(SORT_EVERY);
@@ -148,12 +152,12 @@ impl Fast {
             // What particles keep behind tools is known in the order in which they have scattered.
             if !tools.tools.is_empty() {
                 let moved = [&barriers[run as usize - 1], &barriers[run as usize]];
-                self.finish(step, forces, moved, loads);
+                self.finish(step, moved, loads);
                 self.check_lost()?;
             }
         }
         if tools.tools.is_empty() {
-            self.finish(step, forces, [&Barriers::default(); 2], loads);
+            self.finish(step, [&Barriers::default(); 2], loads);
             self.check_lost()?;
         }
         self.check(watch)?;
@@ -178,10 +182,10 @@ impl Fast {
         bound.check(self.packs.states().map(|(particle, k)| (k as usize, particle)))
     }
 
-    /// Sorts the particles again and divides them into chunks.
-    fn sort(&mut self, step: &Step) {
+    /// Sorts the particles again and divides them into chunks; `late` as in [`Chunk::lay`].
+    fn sort(&mut self, step: &Step, late: i32) {
         self.packs.sort(step, &self.field, &mut lock(&self.pool));
-        self.packs.cut(&mut self.chunks, step, &self.field);
+        self.packs.cut(&mut self.chunks, step, &self.field, late);
     }
 
     /// Runs up to `most` substeps, up to the velocities of the nodes, and returns their number. Ends early when particles
@@ -203,7 +207,7 @@ impl Fast {
         let velocities = DisjointSlice::new(&mut self.field.velocity);
         let liquids = DisjointSlice::new(&mut self.field.liquid);
         let loads = DisjointSlice::new(&mut self.field.loads);
-        let (settling, fall) = (step.settling.is_some(), forces.fall());
+        let settling = step.settling.is_some();
         let mut pool = lock(&self.pool);
         let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
@@ -212,8 +216,7 @@ impl Fast {
             for substep in 0..most {
                 let now = &barriers[substep as usize];
                 let before = &barriers[substep.saturating_sub(1) as usize];
-                let obstacles =
-                    (!now.is_empty()).then_some(Obstacles { barriers: [before, now], fall });
+                let obstacles = (!now.is_empty()).then_some(Obstacles { barriers: [before, now] });
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
                 let (mine, velocity, liquid) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
@@ -294,18 +297,11 @@ impl Fast {
     }
 
     /// Gathers the velocities of the nodes: the end of the last substep, in which tools move as in `barriers`.
-    fn finish(
-        &mut self,
-        step: &Step,
-        forces: &Forces,
-        barriers: [&Barriers; 2],
-        loads: &mut Loads,
-    ) {
-        let obstacles =
-            (!barriers[1].is_empty()).then_some(Obstacles { barriers, fall: forces.fall() });
-        // A particle in the outermost cell of the margin does not leave the patch in one more substep.
+    fn finish(&mut self, step: &Step, barriers: [&Barriers; 2], loads: &mut Loads) {
+        let obstacles = (!barriers[1].is_empty()).then_some(Obstacles { barriers });
+        // With tools the margin is wide enough for this substep.
         if obstacles.is_none() && self.chunks.iter().any(|chunk| chunk.drifted) {
-            self.sort(step);
+            self.sort(step, 1);
         }
         let Field { velocity, liquid, stride, .. } = &self.field;
         let field = Nodes { velocity, liquid, stride: *stride };

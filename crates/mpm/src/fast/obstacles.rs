@@ -22,8 +22,6 @@ use super::{
 pub(super) struct Obstacles<'a> {
     /// Where they were when particles have scattered, and where they are when they have moved.
     pub(super) barriers: [&'a Barriers; 2],
-    /// Velocity along -y that gravity adds (domain lengths per s).
-    pub(super) fall: f32,
 }
 
 /// A particle that has scattered beside a tool.
@@ -44,6 +42,7 @@ impl Obstacles<'_> {
         &self,
         number: usize,
         pack: &mut Pack,
+        lanes: usize,
         kept: &mut &[Kept],
         field: Nodes<'_>,
         step: &Step,
@@ -61,6 +60,10 @@ impl Obstacles<'_> {
             let mut particle = first.particle;
             g2p::advance(&mut particle, &stencil, node, Some(&first.hidden), self.barriers, step);
             pack.set(first.lane, &particle, pack.index[first.lane]);
+        }
+        // Unused lanes stay copies of another particle.
+        for lane in lanes..LANES {
+            pack.set(lane, &pack.get(0), pack.index[0]);
         }
     }
 
@@ -89,7 +92,7 @@ impl Obstacles<'_> {
             };
             let falling = |place: [usize; 2]| {
                 let [x, y] = given(place);
-                [x, y - self.fall]
+                [x, y - step.fall]
             };
             let Some(hidden) = now.hidden(position, &stencil, falling, &mut chunk.loads) else {
                 continue;

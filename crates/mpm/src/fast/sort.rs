@@ -60,7 +60,7 @@ impl Packs {
     }
 
     /// Divides the packs into chunks of about the same size.
-    pub(super) fn cut(&self, chunks: &mut Vec<Chunk>, step: &Step, field: &Field) {
+    pub(super) fn cut(&self, chunks: &mut Vec<Chunk>, step: &Step, field: &Field, late: i32) {
         let count = (self.particles / MIN_CHUNK_PARTICLES).clamp(1, MAX_CHUNKS);
         let end = |k: usize| (self.packs.len() * k / count * LANES).min(self.particles);
         chunks.resize_with(count, Chunk::default);
@@ -74,7 +74,7 @@ impl Packs {
                     most[axis] = most[axis].max(lowest[axis]);
                 }
             }
-            chunk.lay(range, least, most, field);
+            chunk.lay(range, least, most, field, late);
         }
     }
 }

@@ -3,7 +3,7 @@ use proptest::{prelude::*, sample::select};
 use super::{
     super::{
         Attractor, Contact, FRAME_INTERVAL, GRAVITY, GridShape, Law, Materials, Motion, Outline,
-        Particle, Pose, Preset, Scene, Solver, SolverSettings, Tool, minimum_substeps,
+        Particle, Pose, Preset, Scene, Solver, SolverSettings, Tool, ToolLoad, minimum_substeps,
     },
     Level,
 };
@@ -106,8 +106,8 @@ proptest! {
         let (most, all) = (positions[positions.len() * 99 / 100], positions[positions.len() - 1]);
         prop_assert!(most < 4e-6 && all < 1e-4, "positions differ by {most}, at most by {all}");
         for (found, expected) in fast.loads().iter().zip(plain.loads()) {
-            for axis in 0..2 {
-                let [found, expected] = [found, &expected].map(|load| load.impulse[axis]);
+            let numbers = |load: &ToolLoad| [load.impulse[0], load.impulse[1], load.angular, load.work];
+            for (found, expected) in numbers(found).into_iter().zip(numbers(&expected)) {
                 prop_assert!((found - expected).abs() < 1e-6 + 1e-3 * expected.abs(), "{found}, {expected}");
             }
         }

@@ -83,15 +83,17 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
         let mut sum = CellSum::zero(simd);
         let mut scratch = Scratch::EMPTY;
         let mut left = chunk.particles().len();
-        let kept = std::mem::take(&mut chunk.kept);
-        let mut kept = kept.as_slice();
+        std::mem::swap(&mut chunk.kept, &mut chunk.gathered);
+        chunk.kept.clear();
+        let gathered = std::mem::take(&mut chunk.gathered);
+        let mut kept = gathered.as_slice();
         for (number, pack) in packs.iter_mut().enumerate() {
             let lanes = left.min(LANES);
             left -= lanes;
             if GATHER {
                 gather(simd, &weights, pack, field, step, &mut scratch);
                 if let Some(obstacles) = &obstacles {
-                    obstacles.gather(number, pack, &mut kept, field, step);
+                    obstacles.gather(number, pack, lanes, &mut kept, field, step);
                 }
             }
             let inverse_dx = simd.splat(step.inverse_dx);
@@ -120,6 +122,7 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
                 }
             }
         }
+        chunk.gathered = gathered;
         if SCATTER {
             sum.flush::<SETTLING>(simd, chunk);
         }

@@ -7,7 +7,7 @@ use super::{
     attractor::Attractor,
     collapse,
     energy::Energy,
-    error::MpmError,
+    error::{Limit, MpmError},
     flow::Flow,
     grid::GridShape,
     material::Law,
@@ -154,6 +154,8 @@ impl Simulation {
         let mut solver = Solver::new(particles.clone(), solver_settings)
             .map_err(|particle| diverged(&particles, particle, 0.0))?;
         solver.tools.clone_from(&scene.tools);
+        let rest = |tool: &Tool| Motion::rest(tool.pose(0.0)).shifted(shift);
+        solver.motions = scene.tools.iter().map(rest).collect();
         let intervals =
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
@@ -216,7 +218,8 @@ impl Simulation {
         cancelled: &(dyn Fn() -> bool + Sync),
     ) -> MpmError {
         let Some(requested) = self.scene.solver.substeps else { return reason };
-        if reason == MpmError::Cancelled {
+        // How tools were moved by hand is not known any more.
+        if reason == MpmError::Cancelled || self.by_hand.is_some() {
             return reason;
         }
         match self.enough_substeps(cancelled) {
@@ -562,8 +565,14 @@ impl Simulation {
 fn substeps(scene: &Scene, GridShape { cells, dx }: GridShape) -> Result<u32, MpmError> {
     let materials = &scene.materials;
     let interval = decimal(scene.frames.interval);
-    let speed = scene.fastest().max(scene.fastest_tool());
-    let (minimum, limit) = minimum_substeps(&scene.materials(), materials, dx, speed, interval);
+    let (mut minimum, mut limit) =
+        minimum_substeps(&scene.materials(), materials, dx, scene.fastest(), interval);
+    let speed = scene.fastest_tool();
+    // The cast saturates.
+    let of_tools = (f64::from(speed) * interval / f64::from(dx) / TRAVEL).ceil() as u32;
+    if of_tools > minimum {
+        (minimum, limit) = (of_tools, Limit::Tool(speed));
+    }
     if minimum > MAX_SUBSTEPS {
         return Err(MpmError::Field {
             field: "frames.interval".into(),

@@ -16,8 +16,8 @@ use super::{
 
 /// Distance from the surface at which particles end that would enter a tool (cells).
 const GAP: f32 = 1e-3;
-/// Distance beyond which a particle sees all of its nodes: half the diagonal of its kernel (cells), and a little more.
-const SIGHT: f32 = 2.2;
+/// Distance along an axis beyond which tools do not matter to a particle or a node (cells): half of its kernel, and a little more.
+const SIGHT: f32 = 1.6;
 /// Distance from a surface within which nodes in front of it meet it (cells). With less, nodes that no surface stops press matter against it
 /// until it is several times as dense (`docs/lab/tools.md`).
 const BESIDE: f32 = 1.0;
@@ -87,6 +87,20 @@ impl Moving {
         let [x0, y0] = self.pose.position;
         [self.velocity[0] - self.spin * (y - y0), self.velocity[1] + self.spin * (x - x0)]
     }
+
+    /// Where a point that was there when the tool was at `before` is now, if it moves with the tool.
+    fn follows(&self, before: &Self, [x, y]: [f32; 2]) -> [f32; 2] {
+        if self.pose == before.pose {
+            return [x, y];
+        }
+        let [x0, y0] = before.pose.position;
+        let (dx, dy) = (x - x0, y - y0);
+        let [cos, sin] = before.direction;
+        let [along, across] = [cos * dx + sin * dy, cos * dy - sin * dx];
+        let [cos, sin] = self.direction;
+        let [x1, y1] = self.pose.position;
+        [x1 + cos * along - sin * across, y1 + sin * along + cos * across]
+    }
 }
 
 /// A place on the surface of a tool.
@@ -117,11 +131,11 @@ impl Hidden {
     }
 }
 
-/// What tools have got from matter, each, in units of a particle's mass.
+/// What matter has given to each tool, in units of a particle's mass.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in super::super) struct Loads(pub(in super::super) Vec<ToolLoad>);
 
-/// What a tool has got from matter in an interval.
+/// What matter has given to a tool in an interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ToolLoad {
     /// Impulse (density x domain lengths^3 per s): its mean force is this by the length of the interval.
@@ -194,8 +208,11 @@ impl Barriers {
     /// Whether particles in a box may not see all of their nodes. `lower` and `upper` are its corners.
     #[inline]
     pub(in super::super) fn are_near(&self, [lower, upper]: [[f32; 2]; 2]) -> bool {
-        self.parts.iter().any(|Posed { bounds: [from, to], .. }| {
-            (0..2).all(|axis| lower[axis] < to[axis] && upper[axis] > from[axis])
+        let middle = [0, 1].map(|k| 0.5 * (lower[k] + upper[k]));
+        let reach = (upper[0] - lower[0]) + (upper[1] - lower[1]) + 2.0 * SIGHT * self.dx;
+        self.parts.iter().any(|Posed { part, bounds: [from, to], .. }| {
+            let meets = (0..2).all(|axis| lower[axis] < to[axis] && upper[axis] > from[axis]);
+            meets && part.distance(middle) < reach
         })
     }
 
@@ -267,7 +284,7 @@ impl Barriers {
         [left[0] + surface[0], left[1] + surface[1]]
     }
 
-    /// The velocity of a node with the mass of so many particles: less than a cell in front of a surface it meets it, as nodes behind it do.
+    /// The velocity of a node with the mass of so many particles: less than a cell in front of a surface, it meets that surface.
     #[inline]
     pub(in super::super) fn beside(
         &self,
@@ -277,34 +294,20 @@ impl Barriers {
         loads: &mut Loads,
     ) -> [f32; 2] {
         for Posed { part, tool, .. } in self.parts.iter().filter(|posed| posed.holds(node)) {
-            if (0.0..BESIDE * self.dx).contains(&part.distance(node)) {
-                let place = Place { tool: *tool, point: node, normal: part.surface(node).normal };
+            let faced = part.faced(node).filter(|(distance, _)| *distance < BESIDE * self.dx);
+            if let Some((_, Edge { normal, .. })) = faced {
+                let place = Place { tool: *tool, point: node, normal };
                 velocity = self.met(place, velocity, particles, loads);
             }
         }
         velocity
     }
 
-    /// The share of a node's kernel that is not inside tools or behind them, as if their surfaces were straight.
+    /// The share of a node's kernel that is not behind the surfaces that it faces, as if these were straight.
     pub(in super::super) fn open(&self, node: [f32; 2]) -> f32 {
-        let mut open = 1.0;
-        let mut nearest: Option<[f32; 2]> = None;
-        for Posed { part, .. } in self.parts.iter().filter(|posed| posed.holds(node)) {
-            let distance = part.distance(node) / self.dx;
-            if distance >= 1.5 {
-                continue;
-            }
-            let Edge { normal, .. } = part.surface(node);
-            // Two parts that lie side by side have one surface.
-            match nearest {
-                Some([x, y]) if x * normal[0] + y * normal[1] > 0.5 => {
-                    open = f32::min(open, share_before(distance))
-                }
-                _ => open *= share_before(distance),
-            }
-            nearest = Some(normal);
-        }
-        open
+        let held = self.parts.iter().filter(|posed| posed.holds(node));
+        let faced = held.filter_map(|posed| posed.part.faced(node));
+        faced.map(|(distance, _)| share_before(distance / self.dx)).product()
     }
 
     /// Where a particle ends that moves from one position to another while the tools move from where they are in `before` to where they
@@ -316,36 +319,24 @@ impl Barriers {
         mut to: [f32; 2],
     ) -> [f32; 2] {
         let gap = GAP * self.dx;
+        let mut carried = None;
         for _ in 0..SLIDES {
             let held = self.parts.iter().filter(|posed| posed.holds(to));
             let entered = held.filter_map(|Posed { part, tool, .. }| {
                 // As seen from the tool.
                 let from = self.tools[*tool].follows(&before.tools[*tool], from);
-                part.entered(from, to)
+                part.entered(from, to).map(|(share, surface)| (share, surface, from))
             });
             let first =
                 entered.reduce(|first, other| if other.0 < first.0 { other } else { first });
-            let Some((_, surface)) = first else { return to };
-            let out = gap - surface.distance(to);
+            let Some((_, surface, from)) = first else { return to };
+            carried.get_or_insert(from);
+            // Not further than a cell out of a tool in which it began.
+            let out = (gap - surface.distance(to)).min(self.dx);
             to = [to[0] + out * surface.normal[0], to[1] + out * surface.normal[1]];
         }
-        to
-    }
-}
-
-impl Moving {
-    /// Where a point that was there when the tool was at `before` is now, if it moves with the tool.
-    fn follows(&self, before: &Self, [x, y]: [f32; 2]) -> [f32; 2] {
-        if self.pose == before.pose {
-            return [x, y];
-        }
-        let [x0, y0] = before.pose.position;
-        let (dx, dy) = (x - x0, y - y0);
-        let [cos, sin] = before.direction;
-        let [along, across] = [cos * dx + sin * dy, cos * dy - sin * dx];
-        let [cos, sin] = self.direction;
-        let [x1, y1] = self.pose.position;
-        [x1 + cos * along - sin * across, y1 + sin * along + cos * across]
+        // Between surfaces that leave no room it moves with the first that it has met.
+        carried.unwrap_or(to)
     }
 }
 

@@ -10,7 +10,12 @@ mod path;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    error::MpmError, grid::GridShape, particle::Particle, plane, scene::positive, step::Step,
+    error::MpmError,
+    grid::GridShape,
+    particle::Particle,
+    plane,
+    scene::{Scene, positive},
+    step::Step,
 };
 
 pub use barrier::ToolLoad;
@@ -35,7 +40,8 @@ pub struct Tool {
     /// What matter does at its surface; slips by default.
     #[serde(default)]
     pub contact: Contact,
-    /// Where it is, by time; it moves uniformly from one to the next, and rests before the first and after the last.
+    /// Where it is, by time; it moves uniformly from one to the next, and rests before the first and after the last. Between two frames it
+    /// moves uniformly, too.
     pub keyframes: Vec<Keyframe>,
 }
 
@@ -91,17 +97,22 @@ impl Contact {
     }
 }
 
-/// Checks tools in a domain of this size, without matter.
+/// Checks the tools of a scene, without its bodies.
 ///
 /// # Errors
 /// [`MpmError::Field`] for the first that is wrong, outside the domain, or overlaps another one at its start.
-pub(super) fn check(tools: &[Tool], domain: [f32; 2]) -> Result<(), MpmError> {
+pub(super) fn check(tools: &[Tool], scene: &Scene) -> Result<(), MpmError> {
+    let domain = scene.domain;
     let wrong = |field: String, found: String, expected: &str| {
         Err(MpmError::Field { field, found, expected: expected.into() })
     };
     if tools.len() > MAX_TOOLS {
         let expected = format!("at most {MAX_TOOLS}");
         return wrong("tools".into(), tools.len().to_string(), &expected);
+    }
+    if !tools.is_empty() && scene.attractor.is_some() {
+        let expected = "tools without an attractor";
+        return wrong("attractor".into(), "an attractor and tools".into(), expected);
     }
     for (index, tool) in tools.iter().enumerate() {
         let field = format!("tools[{index}]");
@@ -124,6 +135,12 @@ pub(super) fn check(tools: &[Tool], domain: [f32; 2]) -> Result<(), MpmError> {
                 );
             }
         }
+        let parts = tool.shape.posed(tool.pose(0.0));
+        let is_inside = |p: [f32; 2]| parts.iter().any(|part| part.distance(p) < 0.0);
+        if let Some(emitter) = scene.emitters.iter().position(|it| is_inside(it.position)) {
+            let found = format!("a tool around emitters[{emitter}] at the start");
+            return wrong(field, found, "a tool beside all emitters");
+        }
         for (other, before) in tools[..index].iter().enumerate() {
             if tool.shape.overlaps(tool.pose(0.0), &before.shape, before.pose(0.0)) {
                 let found = format!("a tool that overlaps tools[{other}] at the start");
@@ -138,7 +155,7 @@ pub(super) fn check(tools: &[Tool], domain: [f32; 2]) -> Result<(), MpmError> {
     Ok(())
 }
 
-/// Checks that no particle begins inside a tool. `owners` has the index of each particle's body.
+/// Checks that no particle begins inside a tool. `owners` has the index of the body of each, or of each group of equally many.
 ///
 /// # Errors
 /// [`MpmError::Field`].
@@ -152,7 +169,7 @@ pub(super) fn check_room(
         let is_inside = |p: &Particle| parts.iter().any(|part| part.distance(p.position) < 0.0);
         let inside = particles.iter().filter(|p| is_inside(p)).count();
         if let Some(first) = particles.iter().position(is_inside) {
-            let body = owners[first];
+            let body = owners[first * owners.len() / particles.len()];
             return Err(MpmError::Field {
                 field: format!("tools[{index}]"),
                 found: format!(
@@ -211,7 +228,7 @@ impl Tool {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::scene::Scene, *};
+    use super::*;
 
     #[test]
     fn contact_keeps_slides_or_rubs() {

@@ -29,6 +29,9 @@ pub enum Outline {
     },
 }
 
+/// The largest length of an outline (domain lengths): the square of a larger one could be too large for its number.
+const LONGEST: f32 = 1e4;
+
 /// A convex part of an outline.
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Part {
@@ -77,8 +80,8 @@ impl Outline {
     /// The first invalid number or polygon, as field, found and expected.
     pub(super) fn invalid(&self) -> Option<(String, String, &'static str)> {
         let length = |field: &str, found: f32| {
-            let fine = found > 0.0 && found.is_finite();
-            (!fine).then(|| (field.to_owned(), found.to_string(), "a positive number"))
+            let fine = found > 0.0 && found <= LONGEST;
+            (!fine).then(|| (field.to_owned(), found.to_string(), "a positive number up to 1e4"))
         };
         match self {
             Self::HalfPlane => None,
@@ -264,6 +267,25 @@ impl Part {
         }
     }
 
+    /// The surface that a point is straight in front of, and its distance; `None` inside and beside a corner.
+    pub(super) fn faced(&self, point: [f32; 2]) -> Option<(f32, Edge)> {
+        let surface = self.surface(point);
+        let distance = surface.distance(point);
+        if distance < 0.0 {
+            return None;
+        }
+        let foot = [0, 1].map(|k| point[k] - distance * surface.normal[k]);
+        let is_on_it = match self {
+            Self::Disc { .. } => true,
+            Self::Convex { edges, .. } => {
+                // The rounding of the foot.
+                let most = 1e-6 * (1.0 + distance + foot[0].abs() + foot[1].abs());
+                edges.iter().all(|edge| edge.distance(foot) <= most)
+            }
+        };
+        is_on_it.then_some((distance, surface))
+    }
+
     /// Where the way from one point to another enters it: the share of the way, 0 to 1, and the surface there. A way that begins
     /// inside enters at once, through the nearest surface.
     #[inline]
@@ -308,7 +330,7 @@ impl Part {
     }
 }
 
-/// The tangent of a circle on the side of its centre that this direction shows to.
+/// The tangent of a circle at the point that lies in this direction from its centre.
 fn tangent(centre: [f32; 2], radius: f32, direction: [f32; 2]) -> Edge {
     let normal = unit(direction);
     Edge { normal, offset: radius + normal[0] * centre[0] + normal[1] * centre[1] }
@@ -328,8 +350,8 @@ fn area(corners: &[[f32; 2]]) -> f32 {
 
 /// What is wrong with a polygon: found and expected.
 fn fault(corners: &[[f32; 2]]) -> Option<(String, &'static str)> {
-    if corners.len() < 3 || !corners.as_flattened().iter().all(|x| x.is_finite()) {
-        return Some((format!("{corners:?}"), "at least three finite points"));
+    if corners.len() < 3 || !corners.as_flattened().iter().all(|x| x.abs() <= LONGEST) {
+        return Some((format!("{corners:?}"), "at least three points with numbers up to 1e4"));
     }
     let count = corners.len();
     let sign = area(corners).signum();
@@ -389,13 +411,23 @@ mod tests {
     }
 
     #[test]
+    fn a_point_faces_a_surface_and_no_corner() {
+        assert_eq!(square().faced([0.5, 1.25]).unwrap().0, 0.25);
+        assert_eq!(square().faced([0.5, 1.25]).unwrap().1.normal, [0.0, 1.0]);
+        for point in [[1.1, 1.25], [-1.1, 1.25], [1.5, -1.01], [0.0, 0.5]] {
+            assert_eq!(square().faced(point), None, "{point:?}");
+        }
+    }
+
+    #[test]
     fn polygons_that_are_not_convex_or_cross_themselves_are_refused() {
         let star = [0usize, 2, 4, 1, 3].map(|k| {
             let angle = 1.2566371 * k as f32;
             [angle.cos(), angle.sin()]
         });
-        let cases: [(&[[f32; 2]], &str); 5] = [
+        let cases: [(&[[f32; 2]], &str); 6] = [
             (&[[0.0, 0.0], [1.0, 0.0]], "at least three"),
+            (&[[0.0, 0.0], [1e20, 0.0], [0.0, 1.0]], "up to 1e4"),
             (&[[0.0, 0.0], [1.0, 0.0], [0.2, 0.2], [0.0, 1.0]], "convex"),
             (&[[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]], "convex"),
             (&[[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], "different corners"),

@@ -73,21 +73,32 @@ fn momentum_of_matter_and_impulse_on_tools_are_gravity_s() {
 }
 
 #[test]
-fn a_piston_carries_the_weight_of_a_column() {
-    // Between two walls, on a piston across: all of its weight.
+fn a_piston_carries_the_weight_of_a_column_and_lifts_it() {
+    // Between two walls, on a piston across: all of its weight, with the lever from where the piston is held.
     let spacing = 0.5 * GRID.dx;
-    for (material, tolerance) in [(Material::Liquid, 0.05), (Material::Jelly, 0.05)] {
+    for material in [Material::Liquid, Material::Jelly] {
         let left = 2.0 * GRID.dx;
         let particles = block([left, 0.3 + 0.25 * spacing], [120, 40], spacing, material);
-        let weight = particles.len() as f64 * f64::from(spacing).powi(2) * f64::from(-GRAVITY);
-        let piston = tool(Outline::Rectangle { size: [1.2, 0.02] }, Contact::Slip);
-        let tools = vec![(piston, pose(0.5, 0.29, 0.0))];
-        let mut solver = with_tools(particles, material, Materials::default(), tools);
+        let mass = particles.len() as f64 * f64::from(spacing).powi(2);
+        let weight = mass * f64::from(-GRAVITY);
+        let corners = vec![vec![[-0.4, -0.01], [0.9, -0.01], [0.9, 0.01], [-0.4, 0.01]]];
+        let piston = tool(Outline::Polygons { corners }, Contact::Slip);
+        let held = pose(0.3, 0.29, 0.0);
+        let mut solver =
+            with_tools(particles, material, Materials::default(), vec![(piston, held)]);
         run_for(&mut solver, 3.0);
         let [_, force] = forces(&mut solver, 1.0)[0];
-        let ratio = -force / weight;
-        println!("piston {material:?}: {ratio}");
-        assert!((ratio - 1.0).abs() < tolerance, "{material:?}: {ratio}");
+        let lever = solver.loads()[0].angular / solver.loads()[0].impulse[1];
+        println!("piston {material:?}: {} of the weight, lever {lever}", -force / weight);
+        assert!((-force / weight - 1.0).abs() < 0.05, "{material:?}: {force}, {weight}");
+        assert!((lever - 0.2).abs() < 0.01, "{material:?}: {lever}");
+        assert_eq!(solver.loads()[0].work, 0.0);
+        // Raised by .1 in a second.
+        solver.motions = vec![Motion { start: held, end: pose(0.3, 0.39, 0.0) }];
+        run_for(&mut solver, 1.0);
+        let work = -solver.loads()[0].work / (weight * 0.1);
+        println!("piston {material:?}: {work} of the work");
+        assert!((work - 1.0).abs() < 0.05, "{material:?}: {work}");
     }
 }
 
@@ -114,13 +125,13 @@ fn water_presses_on_a_gate_with_its_depth() {
         let density = within * f64::from(spacing).powi(2) / (f64::from(GRID.dx) * depth);
         println!("gate {beyond}: {ratio} of the force, density {density}");
         assert!((ratio - 1.0).abs() < 0.05, "{beyond}: {ratio}");
-        assert!((0.1..1.25).contains(&density), "{beyond}: {density}");
+        assert!(density < 1.25, "{beyond}: {density}");
         assert!(all.iter().all(|p| p.position[0] < surface), "a leak");
     }
 }
 
-/// Mean velocity along an incline of a block of jelly on it after a time.
-fn slid(degrees: f32, friction: f32, seconds: f32) -> (f32, f32) {
+/// Mean velocity along an incline of a block of jelly on it after a time, and its mean acceleration until then.
+fn slid(incline: Outline, degrees: f32, friction: f32, seconds: f32) -> (f32, f32) {
     let spacing = 0.5 * GRID.dx;
     let (sin, cos) = degrees.to_radians().sin_cos();
     let surface = [0.5, 0.4];
@@ -132,7 +143,7 @@ fn slid(degrees: f32, friction: f32, seconds: f32) -> (f32, f32) {
         let position = [surface[0] + cos * x - sin * y, surface[1] + sin * x + cos * y];
         Particle { position, ..particle }
     });
-    let plane = tool(Outline::HalfPlane, Contact::Friction(friction));
+    let plane = tool(incline, Contact::Friction(friction));
     let tools = vec![(plane, pose(surface[0], surface[1], degrees))];
     let materials = Materials { stiffness: 5e3, ..Materials::default() };
     let mut solver = with_tools(particles.collect(), Material::Jelly, materials, tools);
@@ -152,7 +163,7 @@ fn a_block_slides_down_an_incline_that_is_steeper_than_its_friction() {
     for (degrees, friction) in [(20.0, 0.0), (20.0, 0.2), (30.0, 0.3), (20.0, 0.5), (30.0, 0.8)] {
         let (sin, cos) = f32::sin_cos(f32::to_radians(degrees));
         let expected = -GRAVITY * f32::max(sin - friction * cos, 0.0);
-        let (speed, acceleration) = slid(degrees, friction, 0.15);
+        let (speed, acceleration) = slid(Outline::HalfPlane, degrees, friction, 0.15);
         println!("incline {degrees}, {friction}: {acceleration} of {expected}, {speed}");
         assert!(
             (acceleration - expected).abs() < 0.05 * -GRAVITY * sin + 0.03,
@@ -164,7 +175,20 @@ fn a_block_slides_down_an_incline_that_is_steeper_than_its_friction() {
     }
 }
 
-/// A closed box of four walls .47 of a cell thick.
+#[test]
+fn a_block_slides_over_seams_as_over_one_surface() {
+    let plank = |from: f32, to: f32| vec![[from, -0.05], [to, -0.05], [to, 0.0], [from, 0.0]];
+    let planks = |count: usize| {
+        let at = |k: usize| -0.5 + k as f32 / count as f32;
+        Outline::Polygons { corners: (0..count).map(|k| plank(at(k), at(k + 1))).collect() }
+    };
+    let (_, one) = slid(planks(1), 25.0, 0.2, 0.15);
+    let (_, many) = slid(planks(37), 25.0, 0.2, 0.15);
+    println!("incline of one plank: {one}, of many: {many}");
+    assert!((one - many).abs() < 0.01 * one, "{one}, {many}");
+}
+
+/// A closed box of four walls .47 of a cell thick; inside it, matter is below `height - wall`.
 fn cup(width: f32, height: f32) -> Outline {
     let t = 0.47 * GRID.dx;
     let (x, y) = (0.5 * width, height);
@@ -184,7 +208,7 @@ fn cup(width: f32, height: f32) -> Outline {
 #[test]
 fn a_thin_cup_that_is_shaken_holds_what_it_has() {
     let spacing = 0.5 * GRID.dx;
-    for material in [Material::Liquid, Material::Sand, Material::Snow] {
+    for material in [Material::Liquid, Material::Sand, Material::Snow, Material::Jelly] {
         let particles = block([0.41, 0.451], [23, 20], spacing, material);
         let count = particles.len();
         let tools = vec![(tool(cup(0.2, 0.4), Contact::Friction(0.3)), pose(0.5, 0.45, 0.0))];
@@ -205,7 +229,7 @@ fn a_thin_cup_that_is_shaken_holds_what_it_has() {
         let outside = solver.particles().iter().filter(|p| {
             let [x, y] = [0, 1].map(|k| p.position[k] - at.position[k]);
             let [along, up] = [cos * x + sin * y, cos * y - sin * x];
-            along.abs() > 0.1 || up < 0.0 || up > 0.4
+            along.abs() > 0.1 || up < 0.0 || up > 0.4 - 0.47 * GRID.dx
         });
         assert_eq!(outside.count(), 0, "{material:?}: of {count} particles");
     }
