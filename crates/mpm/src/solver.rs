@@ -128,7 +128,7 @@ impl Solver {
     pub fn run(&mut self, substeps: u32) -> Result<(), usize> {
         let Self { particles, before, settings, attractor, tools, motions, loads, .. } = self;
         let tools = (&ToolMotion { tools, motions, substeps, grid: settings.grid }, loads);
-        match self.fast.run(particles, before, substeps, settings, *attractor, tools, None) {
+        match self.fast.run(particles, before, settings, *attractor, tools, None) {
             Ok(()) => {
                 std::mem::swap(particles, before);
                 Ok(())
@@ -158,7 +158,7 @@ impl Solver {
         let watch = Watch { bound: Bound::of(settings), cancelled };
         let Interval { substeps, attractor, ref motions, .. } = *interval;
         let tools = (&ToolMotion { tools, motions, substeps, grid: settings.grid }, loads);
-        self.fast.run(particles, before, substeps, settings, attractor, tools, Some(&watch))?;
+        self.fast.run(particles, before, settings, attractor, tools, Some(&watch))?;
         std::mem::swap(particles, before);
         self.can_go_back = true;
         Ok(())

@@ -282,8 +282,8 @@ pub(super) struct Update<'a> {
     pub(super) liquid: &'a mut [f32],
     /// Scratch buffer.
     pub(super) sum: &'a mut Sum,
-    /// Tools, if there are any, and what they have got from the nodes of the row.
-    pub(super) barriers: Option<&'a Barriers>,
+    /// Tools, and what they have got from the nodes of the row.
+    pub(super) barriers: &'a Barriers,
     pub(super) loads: &'a mut Loads,
 }
 
@@ -295,7 +295,7 @@ impl Work for Update<'_> {
     fn run<S: Simd>(self, simd: S) {
         let Self { forces, row, chunks, velocity, liquid, sum, barriers, loads } = self;
         let Some([from, to]) = sum.add_up(row, chunks, forces.areas.is_some()) else { return };
-        let near = barriers.and_then(|barriers| forces.near(barriers, row, from..to));
+        let near = forces.near(barriers, row, from..to);
         match &forces.areas {
             Some(areas) => {
                 let open = match &near {

@@ -45,6 +45,7 @@ use eddy_threads::{DisjointSlice, ThreadPool, share};
 use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
 use obstacles::Obstacles;
+use pack::Pack;
 use sort::Packs;
 use transfer::Pass;
 use watch::Search;
@@ -100,7 +101,7 @@ impl Fast {
         }
     }
 
-    /// Writes the particles as they are after a number of substeps to `advanced`.
+    /// Writes the particles as they are after the substeps of a motion of tools to `advanced`, and what they have given to each tool.
     ///
     /// # Errors
     /// [`Stop::Lost`]; with a `watch` also the others.
@@ -108,12 +109,12 @@ impl Fast {
         &mut self,
         particles: &Vec<Particle>,
         advanced: &mut Vec<Particle>,
-        substeps: u32,
         settings: &SolverSettings,
         attractor: Option<Attractor>,
         (tools, loads): (&ToolMotion<'_>, &mut Loads),
         watch: Option<&Watch<'_>>,
     ) -> Result<(), Stop> {
+        let substeps = tools.substeps;
         *loads = Loads::new(tools.tools.len());
         if particles.is_empty() || substeps == 0 {
             advanced.clone_from(particles);
@@ -200,14 +201,12 @@ impl Fast {
         barriers: &[Barriers],
     ) -> u32 {
         let (level, stride) = (self.level, self.field.stride);
-        let rows = self.field.sides[0];
-        let parts = self.chunks.len();
+        let (rows, parts) = (self.field.sides[0], self.chunks.len());
         let packs = DisjointSlice::new(&mut self.packs.packs);
         let chunks = DisjointSlice::new(&mut self.chunks);
         let velocities = DisjointSlice::new(&mut self.field.velocity);
         let liquids = DisjointSlice::new(&mut self.field.liquid);
         let loads = DisjointSlice::new(&mut self.field.loads);
-        let settling = step.settling.is_some();
         let mut pool = lock(&self.pool);
         let threads = pool.threads().min(parts);
         let done = AtomicU32::new(0);
@@ -216,7 +215,7 @@ impl Fast {
             for substep in 0..most {
                 let now = &barriers[substep as usize];
                 let before = &barriers[substep.saturating_sub(1) as usize];
-                let obstacles = (!now.is_empty()).then_some(Obstacles { barriers: [before, now] });
+                let obstacles = Obstacles::of([before, now]);
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
                 let (mine, velocity, liquid) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
@@ -226,36 +225,8 @@ impl Fast {
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
-                    match (gathered && substep == 0, settling) {
-                        (true, false) => level.run(Pass::<false, true, false> {
-                            chunk,
-                            packs,
-                            field,
-                            step,
-                            obstacles,
-                        }),
-                        (true, true) => level.run(Pass::<false, true, true> {
-                            chunk,
-                            packs,
-                            field,
-                            step,
-                            obstacles,
-                        }),
-                        (false, false) => level.run(Pass::<true, true, false> {
-                            chunk,
-                            packs,
-                            field,
-                            step,
-                            obstacles,
-                        }),
-                        (false, true) => level.run(Pass::<true, true, true> {
-                            chunk,
-                            packs,
-                            field,
-                            step,
-                            obstacles,
-                        }),
-                    }
+                    let gathers = substep > 0 || !gathered;
+                    scatter(level, gathers, chunk, packs, field, step, obstacles);
                 }
                 barrier.wait();
                 // SAFETY: no thread writes chunks before the next barrier.
@@ -271,7 +242,6 @@ impl Fast {
                         (velocity, liquids.part(nodes), &mut loads.part(row..row + 1)[0])
                     };
                     let sum = &mut sum;
-                    let barriers = (!now.is_empty()).then_some(now);
                     level.run(Update {
                         forces,
                         row,
@@ -279,7 +249,7 @@ impl Fast {
                         velocity,
                         liquid,
                         sum,
-                        barriers,
+                        barriers: now,
                         loads,
                     });
                 }
@@ -298,7 +268,7 @@ impl Fast {
 
     /// Gathers the velocities of the nodes: the end of the last substep, in which tools move as in `barriers`.
     fn finish(&mut self, step: &Step, barriers: [&Barriers; 2], loads: &mut Loads) {
-        let obstacles = (!barriers[1].is_empty()).then_some(Obstacles { barriers });
+        let obstacles = Obstacles::of(barriers);
         // With tools the margin is wide enough for this substep.
         if obstacles.is_none() && self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step, 1);
@@ -326,6 +296,29 @@ impl Fast {
             None => Ok(()),
             Some((state, k)) => Err(Stop::Lost { particle: k as usize, state }),
         }
+    }
+}
+
+/// Runs a pass over a chunk that scatters; if it does not gather, the particles have their velocities already.
+fn scatter(
+    level: Level,
+    gathers: bool,
+    chunk: &mut Chunk,
+    packs: &mut [Pack],
+    field: Nodes<'_>,
+    step: &Step,
+    obstacles: Option<Obstacles<'_>>,
+) {
+    macro_rules! run {
+        ($gather:literal, $settling:literal) => {
+            level.run(Pass::<$gather, true, $settling> { chunk, packs, field, step, obstacles })
+        };
+    }
+    match (gathers, step.settling.is_some()) {
+        (false, false) => run!(false, false),
+        (false, true) => run!(false, true),
+        (true, false) => run!(true, false),
+        (true, true) => run!(true, true),
     }
 }
 

@@ -35,7 +35,12 @@ pub(super) struct Kept {
     hidden: Hidden,
 }
 
-impl Obstacles<'_> {
+impl<'a> Obstacles<'a> {
+    /// `None` if there are no tools.
+    pub(super) fn of(barriers: [&'a Barriers; 2]) -> Option<Self> {
+        (!barriers[1].is_empty()).then_some(Self { barriers })
+    }
+
     /// Gathers the particles of a pack that have scattered beside a tool, in place of what the pack has gathered: the first of `kept`,
     /// which are left out then.
     pub(super) fn gather(

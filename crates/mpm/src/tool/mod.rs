@@ -253,23 +253,18 @@ mod tests {
         }
     }
 
+    /// A disc of this name there.
+    fn disc(name: &str, x: f32) -> String {
+        format!(
+            r#"{{"name": "{name}", "shape": {{"disc": {{"radius": 0.05}}}},
+            "keyframes": [{{"time": 0.0, "position": [{x}, 0.2]}}]}}"#
+        )
+    }
+
     #[test]
-    fn tools_that_cannot_be_are_named_with_found_and_expected() {
-        let disc = |name: &str, x: f32| {
-            format!(
-                r#"{{"name": "{name}", "shape": {{"disc": {{"radius": 0.05}}}},
-                "keyframes": [{{"time": 0.0, "position": [{x}, 0.2]}}]}}"#
-            )
-        };
-        let with = |shape: &str, contact: &str, keyframes: &str| {
-            format!(
-                r#"{{"name": "tool", "shape": {shape}, "contact": {contact}, "keyframes": [{keyframes}]}}"#
-            )
-        };
-        let place = r#"{"time": 0.0, "position": [0.2, 0.2]}"#;
-        let crossed = r#"{"polygons": {"corners": [[[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]]}}"#;
+    fn tools_that_cannot_be_together_are_named() {
         let many: Vec<String> = (0..9).map(|k| disc(&k.to_string(), 0.1 * k as f32)).collect();
-        let cases = [
+        for (tools, expected) in [
             (many.join(","), "tools: found 9, expected at most 8"),
             (disc("", 0.2), "tools[0].name: found an empty name, expected a name"),
             (
@@ -280,49 +275,37 @@ mod tests {
                 disc("a", 0.2) + "," + &disc("b", 0.29),
                 "tools[1]: found a tool that overlaps tools[0] at the start",
             ),
-            (
-                disc("a", 1.2),
-                "tools[0].keyframes[0].position: found [1.2, 0.2], outside the domain",
-            ),
-            (
-                with(r#"{"disc": {"radius": 0}}"#, r#""slip""#, place),
-                "tools[0].shape.disc.radius: found 0, expected a positive number",
-            ),
-            (
-                with(crossed, r#""slip""#, place),
-                "tools[0].shape.polygons.corners[0]: found a corner at",
-            ),
-            (
-                with(r#""half_plane""#, r#"{"friction": -1}"#, place),
-                "tools[0].contact.friction: found -1",
-            ),
-            (
-                with(r#""half_plane""#, r#""slip""#, ""),
-                "tools[0].keyframes: found none, expected at least one",
-            ),
-            (
-                with(r#""half_plane""#, r#""slip""#, &format!("{place}, {place}")),
-                "tools[0].keyframes[1].time: found 0 after 0",
-            ),
-            (
-                with(
-                    r#"{"disc": {"radius": 0.1}}"#,
-                    r#""slip""#,
-                    r#"{"time": 0.0, "position": [0.6, 0.5]}"#,
-                ),
-                "particles inside it at the start, the first of bodies[0]",
-            ),
-            (
-                with(
-                    r#""half_plane""#,
-                    r#""slip""#,
-                    r#"{"time": 0.0, "position": [0.6, 0.5, 0.1]}"#,
-                ),
-                "found 3 numbers, expected 2",
-            ),
-        ];
-        for (tools, expected) in cases {
+            (disc("a", 1.2), "keyframes[0].position: found [1.2, 0.2], outside the domain"),
+        ] {
             let found = error(&tools);
+            assert!(found.contains(expected), "{found}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn tools_that_cannot_be_are_named_with_found_and_expected() {
+        const PLACE: &str = r#"{"time": 0, "position": [0.2, 0.2]}"#;
+        const TWICE: &str =
+            r#"{"time": 0, "position": [0.2, 0.2]}, {"time": 0, "position": [0.3, 0.2]}"#;
+        const CROSSED: &str =
+            r#"{"polygons": {"corners": [[[0, 0], [0.1, 0.1], [0.1, 0], [0, 0.1]]]}}"#;
+        let in_matter = r#"{"time": 0, "position": [0.6, 0.5]}"#;
+        let in_space = r#"{"time": 0, "position": [0.6, 0.5, 0.1]}"#;
+        let (plane, disc) = (r#""half_plane""#, r#"{"disc": {"radius": 0.1}}"#);
+        let slip = r#""slip""#;
+        for (shape, contact, keyframes, expected) in [
+            (r#"{"disc": {"radius": 0}}"#, slip, PLACE, "shape.disc.radius: found 0, expected"),
+            (r#"{"disc": {"radius": 1e9}}"#, slip, PLACE, "a positive number up to 1e4"),
+            (CROSSED, slip, PLACE, "shape.polygons.corners[0]: found a corner at"),
+            (plane, r#"{"friction": -1}"#, PLACE, "tools[0].contact.friction: found -1"),
+            (plane, slip, "", "tools[0].keyframes: found none, expected at least one"),
+            (plane, slip, TWICE, "tools[0].keyframes[1].time: found 0 after 0"),
+            (disc, slip, in_matter, "inside it at the start, the first of bodies[0]"),
+            (plane, slip, in_space, "found 3 numbers, expected 2"),
+        ] {
+            let found = error(&format!(
+                r#"{{"name": "tool", "shape": {shape}, "contact": {contact}, "keyframes": [{keyframes}]}}"#
+            ));
             assert!(found.contains(expected), "{found}, expected {expected}");
         }
     }

@@ -229,7 +229,7 @@ fn a_thin_cup_that_is_shaken_holds_what_it_has() {
         let outside = solver.particles().iter().filter(|p| {
             let [x, y] = [0, 1].map(|k| p.position[k] - at.position[k]);
             let [along, up] = [cos * x + sin * y, cos * y - sin * x];
-            along.abs() > 0.1 || up < 0.0 || up > 0.4 - 0.47 * GRID.dx
+            along.abs() > 0.1 || !(0.0..=0.4 - 0.47 * GRID.dx).contains(&up)
         });
         assert_eq!(outside.count(), 0, "{material:?}: of {count} particles");
     }
