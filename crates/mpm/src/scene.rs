@@ -30,8 +30,8 @@ const MAX_RESOLVE: u32 = 8;
 
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
-/// Maximum coefficient of friction at the walls: with 10 times the normal change of velocity all motion along them is stopped.
-const MAX_FRICTION: f64 = 1e3;
+/// Maximum coefficient of friction at walls and tools: with 10 times the normal change of velocity all motion along them is stopped.
+pub(super) const MAX_FRICTION: f64 = 1e3;
 /// Maximum angle of internal friction of sand (degrees).
 const MAX_FRICTION_ANGLE: f64 = 60.0;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message

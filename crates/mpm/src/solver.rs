@@ -14,7 +14,7 @@ use super::{
     particle::Particle,
     state::ParticleState,
     step::Step,
-    tool::{Loads, Motion, Tool, ToolLoad, ToolMotion},
+    tool::{Barriers, Loads, Motion, Tool, ToolLoad, ToolMotion},
 };
 
 /// Settings of a [`Solver`].
@@ -202,13 +202,13 @@ impl Solver {
             grid: self.settings.grid,
         };
         self.loads = Loads::new(self.tools.len());
-        let mut before = motion.barriers(0, step);
+        let mut before = Barriers::new(&motion, 0, step);
         for substep in 0..substeps {
             let particles = &mut self.particles;
             grid.clear();
             let hidden = p2g::scatter(particles, &mut grid, step, volume, &before, &mut self.loads);
             grid.update(step, self.attractor.as_ref(), &before, &mut self.loads);
-            let after = motion.barriers(substep + 1, step);
+            let after = Barriers::new(&motion, substep + 1, step);
             g2p::gather(particles, &grid, step, &hidden, [&before, &after])?;
             before = after;
         }
@@ -274,7 +274,6 @@ mod tests {
             material::{DENSITY, Law},
             matrix::Matrix2,
             minimum_substeps,
-            tool::Barriers,
         },
         *,
     };

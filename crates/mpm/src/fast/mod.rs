@@ -142,7 +142,7 @@ impl Fast {
             self.check(watch)?;
             let most = (substeps - done).min(SORT_EVERY);
             let barriers: Vec<_> =
-                (done..=done + most).map(|substep| tools.barriers(substep, step)).collect();
+                (done..=done + most).map(|substep| Barriers::new(tools, substep, step)).collect();
             let of_chunks = self.chunks.iter_mut().map(|chunk| &mut chunk.loads);
             for sum in of_chunks.chain(&mut self.field.loads) {
                 *sum = Loads::new(tools.tools.len());

@@ -172,7 +172,7 @@ impl Loads {
 
 impl Barriers {
     /// The tools of a motion after a number of substeps.
-    pub(super) fn new(motion: &ToolMotion<'_>, substep: u32, step: &Step) -> Self {
+    pub(in super::super) fn new(motion: &ToolMotion<'_>, substep: u32, step: &Step) -> Self {
         let ToolMotion { tools, motions, substeps, grid } = *motion;
         let (dx, wall_friction) = (step.dx, step.wall_friction);
         let sides = grid.cells.map(|cells| cells as usize + 1);

@@ -1,4 +1,4 @@
-//! Tools: rigid bodies that move as they are told and push matter, such as a cup or a blade.
+//! Tools: rigid bodies with prescribed motion that push matter, such as a cup or a blade.
 //!
 //! A tool has an outline ([`outline`]), a law of contact and a path ([`path`]). In a substep it is a [`barrier`] between particles and
 //! nodes.
@@ -14,8 +14,7 @@ use super::{
     grid::GridShape,
     particle::Particle,
     plane,
-    scene::{Scene, positive},
-    step::Step,
+    scene::{MAX_FRICTION, Scene, positive},
 };
 
 pub use barrier::ToolLoad;
@@ -26,8 +25,6 @@ pub use path::{Keyframe, Motion, Pose};
 
 /// Maximum number of tools of a scene.
 pub const MAX_TOOLS: usize = 8;
-/// Maximum coefficient of friction, as of the walls.
-const MAX_FRICTION: f64 = 1e3;
 
 /// A rigid body whose motion is given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,13 +62,6 @@ pub(super) struct ToolMotion<'a> {
     pub(super) motions: &'a [Motion],
     pub(super) substeps: u32,
     pub(super) grid: GridShape,
-}
-
-impl ToolMotion<'_> {
-    /// The tools after a number of substeps.
-    pub(super) fn barriers(&self, substep: u32, step: &Step) -> Barriers {
-        Barriers::new(self, substep, step)
-    }
 }
 
 impl Contact {
