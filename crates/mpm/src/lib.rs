@@ -44,7 +44,6 @@ mod order;
 mod p2g;
 mod particle;
 mod placement;
-mod plane;
 mod polar;
 mod preset;
 mod sand;
