@@ -8,6 +8,8 @@
 //! Frames are of two or three dimensions, which is part of their type: what knows two writes `Frame`, what knows both is generic. Where
 //! the dimension is only known from the data, [`AnyFrame`] has one of the two.
 //!
+//! [`tool`] has the rigid bodies that move in the same domain.
+//!
 //! What a model is trained on or predicts from must also be plausible ([`FrameView::check_plausible`]), and frames that
 //! are used together have one setup ([`same_setup`]): `valid` has these rules, whoever reads the frames.
 
@@ -15,8 +17,10 @@ mod any;
 pub mod clock;
 pub mod date;
 pub mod palette;
+pub mod plane;
 pub mod progress;
 mod state;
+pub mod tool;
 mod valid;
 mod view;
 

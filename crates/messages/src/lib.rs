@@ -8,7 +8,7 @@
 //! 5. [`services`], [`playback`], [`lifecycle`]: requests and responses, also one struct each.
 //! 6. [`service_type`]: the `.srv` files and their type hashes.
 //!    [`dynamic`]: messages of any type.
-//! 7. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message.
+//! 7. [`convert`]: [`Frame`](eddy_frames::Frame) from and to its message. `tools`: tools and their poses.
 //! 8. `dds_type`: type names in DDS. [`qos`]: quality of service.
 //! 9. [`cloud`]: a frame as `PointCloud2`, for programs that do not know `ParticleFrame`.
 //!
@@ -29,6 +29,7 @@ pub mod qos;
 pub mod schema;
 pub mod service_type;
 pub mod services;
+mod tools;
 pub mod type_descriptions;
 
 pub use convert::{BadFrame, FrameCdr, UnusableFrame};
@@ -37,11 +38,13 @@ pub use definition::InvalidDefinition;
 pub use library::{names as built_in_types, text_of as built_in_text};
 pub use messages::{
     Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, Log, ParameterEvent, ParticleFrame,
-    PointCloud2, PointField, PredictionStatus, RosString, StreamState, Time,
+    Point, PointCloud2, PointField, Pose, PredictionStatus, Quaternion, RosString, StreamState,
+    Time, Tool, ToolDescription, ToolFrame, ToolPart, Twist, Vector3, Wrench,
 };
-pub use qos::QosProfile;
+pub use qos::{QosProfile, TOOL_DESCRIPTION_QOS};
 pub use schema::{TypeSupport, UnknownType, type_support};
 pub use service_type::{UnknownService, service_hash, service_messages};
+pub use tools::tool_topics;
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -51,11 +54,13 @@ pub trait Message: Serialize + DeserializeOwned {
     const TYPE: &'static str;
 }
 
-/// The message type of a topic of eddy, from the last part of its name: status, cloud, fields, diagnostics, clock, log,
-/// parameter events and transitions have fixed names, all other topics carry frames.
+/// The message type of a topic of eddy, from the last part of its name: status, tools, description, cloud, fields, diagnostics,
+/// clock, log, parameter events and transitions have fixed names, all other topics carry frames.
 pub fn topic_type(topic: &str) -> &'static str {
     match topic.rsplit('/').next() {
         Some("status") => PredictionStatus::TYPE,
+        Some("tools") => ToolFrame::TYPE,
+        Some("description") => ToolDescription::TYPE,
         Some("diagnostics") => DiagnosticArray::TYPE,
         Some("clock") => Clock::TYPE,
         Some("cloud" | "fields") => PointCloud2::TYPE,
@@ -81,6 +86,8 @@ mod tests {
             ("/particles", ParticleFrame::TYPE),
             ("/left/prediction", ParticleFrame::TYPE),
             ("/prediction/status", PredictionStatus::TYPE),
+            ("/tools", ToolFrame::TYPE),
+            ("/left/tools/description", ToolDescription::TYPE),
             ("/diagnostics", DiagnosticArray::TYPE),
             ("/clock", Clock::TYPE),
             ("/prediction/cloud", PointCloud2::TYPE),

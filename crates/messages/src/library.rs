@@ -4,11 +4,18 @@ use std::{collections::BTreeMap, sync::LazyLock};
 
 use super::definition::{full_name, parts};
 
+macro_rules! ours {
+    ($($name:literal),* $(,)?) => {
+        [$((
+            concat!("eddy_msgs/msg/", $name),
+            include_str!(concat!("../msgs/eddy_msgs/msg/", $name, ".msg")),
+        )),*]
+    };
+}
+
 /// eddy's own messages.
-const OURS: [(&str, &str); 2] = [
-    ("eddy_msgs/msg/ParticleFrame", include_str!("../msgs/eddy_msgs/msg/ParticleFrame.msg")),
-    ("eddy_msgs/msg/PredictionStatus", include_str!("../msgs/eddy_msgs/msg/PredictionStatus.msg")),
-];
+const OURS: [(&str, &str); 6] =
+    ours!["ParticleFrame", "PredictionStatus", "Tool", "ToolDescription", "ToolFrame", "ToolPart",];
 
 macro_rules! packages {
     ($($name:literal),* $(,)?) => {

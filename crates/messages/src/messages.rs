@@ -135,6 +135,123 @@ impl Message for PredictionStatus {
     const TYPE: &'static str = "eddy_msgs/msg/PredictionStatus";
 }
 
+/// `eddy_msgs/msg/ToolPart`, unchecked.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ToolPart {
+    /// 0 half-space, 1 ball, 2 box, 3 convex hull.
+    pub kind: u8,
+    /// Radius of a ball or edge lengths of a box (domain lengths).
+    pub size: Vec<f32>,
+    /// Corners of a hull, `[C * D]`, interleaved (domain lengths).
+    pub corners: Vec<f32>,
+}
+
+/// `eddy_msgs/msg/Tool`, unchecked. [`eddy_frames::tool::Tool`] is its checked form.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Tool {
+    /// Its name.
+    pub name: String,
+    /// Its shape.
+    pub parts: Vec<ToolPart>,
+    /// 0 sticky, 1 slip, 2 friction.
+    pub contact: u8,
+    /// Coefficient of friction.
+    pub friction: f32,
+}
+
+/// `eddy_msgs/msg/ToolDescription`, unchecked. [`eddy_frames::tool::Tools`] is its checked form.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ToolDescription {
+    /// Stamp and coordinate frame.
+    pub header: Header,
+    /// Id of the trajectory.
+    pub stream: u64,
+    /// The tools.
+    pub tools: Vec<Tool>,
+}
+
+impl Message for ToolDescription {
+    const TYPE: &'static str = "eddy_msgs/msg/ToolDescription";
+}
+
+/// `geometry_msgs/msg/Point`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "coordinates")]
+pub struct Point {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/msg/Quaternion`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "components")]
+pub struct Quaternion {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+    pub w: f64,
+}
+
+/// `geometry_msgs/msg/Vector3`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "components")]
+pub struct Vector3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/msg/Pose`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Where it is.
+    pub position: Point,
+    /// Its rotation.
+    pub orientation: Quaternion,
+}
+
+/// `geometry_msgs/msg/Twist`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// Velocity.
+    pub linear: Vector3,
+    /// Angular velocity (rad/s).
+    pub angular: Vector3,
+}
+
+/// `geometry_msgs/msg/Wrench`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Wrench {
+    /// Force.
+    pub force: Vector3,
+    /// Torque.
+    pub torque: Vector3,
+}
+
+/// `eddy_msgs/msg/ToolFrame`, unchecked. [`eddy_frames::tool::ToolFrame`] is its checked form.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ToolFrame {
+    /// Stamp and coordinate frame.
+    pub header: Header,
+    /// Id of the trajectory.
+    pub stream: u64,
+    /// Number of the frame within the stream.
+    pub sequence: u64,
+    /// Names of the tools.
+    pub names: Vec<String>,
+    /// Where each tool is (domain lengths).
+    pub poses: Vec<Pose>,
+    /// Velocity of each (domain lengths per second, rad/s).
+    pub twists: Vec<Twist>,
+    /// Force and torque on each; empty if unknown.
+    pub wrenches: Vec<Wrench>,
+}
+
+impl Message for ToolFrame {
+    const TYPE: &'static str = "eddy_msgs/msg/ToolFrame";
+}
+
 /// `diagnostic_msgs/msg/KeyValue`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyValue {

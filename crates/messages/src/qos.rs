@@ -1,5 +1,7 @@
 //! Quality of service of publishers, as far as ROS 2 tells others about it (docs.ros.org, "Quality of Service settings").
 
+use super::{Message as _, ToolDescription};
+
 /// Policies that a publisher offers or a subscriber requests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct QosProfile {
@@ -49,10 +51,25 @@ impl Default for HistoryPolicy {
     }
 }
 
+/// What publishers of tool descriptions offer: late-joining subscribers receive those of the last 64 streams.
+pub const TOOL_DESCRIPTION_QOS: QosProfile = QosProfile {
+    reliability: ReliabilityPolicy::Reliable,
+    durability: DurabilityPolicy::TransientLocal,
+    history: HistoryPolicy::KeepLast(64),
+};
+
 /// Messages kept for late-joining subscribers by publishers that keep all.
 const KEEP_ALL_LIMIT: usize = 1_024;
 
 impl QosProfile {
+    /// What publishers of a type offer unless something else is asked for.
+    pub fn usual(type_name: &str) -> Self {
+        match type_name {
+            ToolDescription::TYPE => TOOL_DESCRIPTION_QOS,
+            _ => Self::default(),
+        }
+    }
+
     /// Number of messages kept for late-joining subscribers; 0 if volatile, 1 if unknown.
     pub fn kept(&self) -> usize {
         match (self.durability, self.history) {

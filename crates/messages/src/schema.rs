@@ -189,7 +189,7 @@ mod tests {
     use super::*;
     use crate::{
         Clock, DiagnosticArray, Log, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus, RosString, lifecycle::TransitionEvent,
+        PredictionStatus, RosString, ToolDescription, ToolFrame, lifecycle::TransitionEvent,
     };
 
     #[test]
@@ -279,6 +279,8 @@ mod tests {
         agree::<ParameterEvent>();
         agree::<PointCloud2>();
         agree::<RosString>();
+        agree::<ToolDescription>();
+        agree::<ToolFrame>();
         agree::<Log>();
         agree::<TransitionEvent>();
     }

@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     error::MpmError,
-    plane,
     scene::{finite, positive},
 };
+use eddy_frames::plane;
 
 /// Maximum duration (frame intervals).
 const MAX_FRAMES: u32 = 1000;

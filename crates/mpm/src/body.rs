@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{error::MpmError, plane, scene::finite, shape::Shape};
-use eddy_frames::Material;
+use super::{error::MpmError, scene::finite, shape::Shape};
+use eddy_frames::{Material, plane};
 
 /// Shape, material and initial motion of a body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

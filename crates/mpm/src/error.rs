@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use eddy_frames::{InvalidFrame, Material};
+use eddy_frames::{InvalidFrame, Material, tool::InvalidTool};
 
 /// Why a simulation cannot start or continue.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -130,6 +130,12 @@ pub enum MpmError {
     /// The state is not a valid frame: a velocity is not finite.
     #[error(transparent)]
     Frame(#[from] InvalidFrame),
+}
+
+impl From<InvalidTool> for MpmError {
+    fn from(InvalidTool { field, found, expected }: InvalidTool) -> Self {
+        Self::Field { field, found, expected }
+    }
 }
 
 /// A state that the laws of matter do not describe.

@@ -55,6 +55,13 @@ impl Extent {
     pub fn requested(preset: Preset, options: ExtentOptions) -> Result<Self, MpmError> {
         let ExtentOptions { particles, fill, stiffness, same_bodies } = options;
         let mut extent = Self::of(preset, particles.unwrap_or(PARTICLES))?;
+        for (field, is_set) in [("fill", fill.is_some()), ("same_bodies", same_bodies)] {
+            if is_set && preset.has_tools() {
+                let found = format!("preset {preset}, whose scenes have a tool");
+                let expected = "a preset without tools".into();
+                return Err(MpmError::Field { field: field.into(), found, expected });
+            }
+        }
         if let Some(range) = fill {
             extent = extent.with_fill(range)?;
         }
@@ -74,7 +81,10 @@ impl Extent {
     /// # Errors
     /// [`MpmError::Field`] for too few particles to form bodies, or more than a grid has columns for.
     pub fn of(preset: Preset, particles: usize) -> Result<Self, MpmError> {
-        let most = MAX_COLUMNS / preset.cells() as usize * PARTICLES;
+        let most = match preset.has_tools() {
+            true => PARTICLES,
+            false => MAX_COLUMNS / preset.cells() as usize * PARTICLES,
+        };
         if (MIN_PARTICLES..=most).contains(&particles) {
             return Ok(Self { particles, ..Self::usual(preset) });
         }

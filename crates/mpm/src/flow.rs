@@ -9,10 +9,9 @@ use super::{
     error::MpmError,
     particle::Particle,
     placement::{inside, interior},
-    plane,
     scene::{Scene, finite, positive},
 };
-use eddy_frames::Material;
+use eddy_frames::{Material, plane};
 
 /// Minimum distance of a new particle from all others (spacings).
 const CLEARANCE: f32 = 0.7;

@@ -4,8 +4,8 @@ use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    attractor::Attractor, body::Body, extent::Extent, placement::Placement, preset::Preset,
-    scene::Scene, shape::Shape,
+    attractor::Attractor, body::Body, extent::Extent, manipulation, placement::Placement,
+    preset::Preset, scene::Scene, shape::Shape,
 };
 use eddy_frames::Material;
 
@@ -23,7 +23,7 @@ const MIXES: [&[Material]; 6] = [
     &[Snow, Rope],
 ];
 
-/// Materials of the scenes of one material. Sand is in no preset.
+/// Materials of the scenes of one material. Sand is in scenes with tools only.
 const KINDS_ALONE: [Material; 4] = [Liquid, Snow, Jelly, Rope];
 /// Numbers of bodies of a scene of one material, by `id / 5 % 3`, and number of kinds of scenes: each material alone,
 /// then a mix.
@@ -68,6 +68,11 @@ impl Scene {
             rng
         };
         let mut rng = random(id);
+        if extent.preset().has_tools() {
+            let mut scene = manipulation::generate(extent, id, &mut rng);
+            stiffen(&mut scene, extent, &mut rng);
+            return scene;
+        }
         let bodies = if extent.same_bodies() {
             let bodies = arrange_all(extent, 0, &mut random(0));
             bodies.into_iter().map(|body| Body { velocity: velocity(&mut rng), ..body }).collect()
@@ -83,12 +88,17 @@ impl Scene {
         });
         let domain = extent.grid().size();
         let mut scene = Self { id, domain, bodies, attractor, ..extent.preset().empty_scene() };
-        if let Some([low, high]) = extent.stiffness() {
-            let [low, high] = [low, high].map(f64::from);
-            let stiffness = low * (high / low).powf(rng.random_range(0.0..1.0));
-            scene.materials.stiffness = stiffness.clamp(low, high) as f32;
-        }
+        stiffen(&mut scene, extent, &mut rng);
         scene
+    }
+}
+
+/// Draws the scene's stiffness, if it is random.
+fn stiffen(scene: &mut Scene, extent: &Extent, rng: &mut ChaCha8Rng) {
+    if let Some([low, high]) = extent.stiffness() {
+        let [low, high] = [low, high].map(f64::from);
+        let stiffness = low * (high / low).powf(rng.random_range(0.0..1.0));
+        scene.materials.stiffness = stiffness.clamp(low, high) as f32;
     }
 }
 
@@ -157,7 +167,8 @@ fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> 
             let parts = rng.random_range(1..=3);
             bodies_of(Liquid, particles, parts, spacing, rng)
         }
-        Preset::Kinds => {
+        // Scenes with tools have bodies of their own.
+        Preset::Kinds | Preset::Push | Preset::Pour | Preset::Scoop => {
             let (round, kind) = (id / KINDS + set, id % KINDS);
             match KINDS_ALONE.get(kind) {
                 Some(&alone) => {

@@ -4,7 +4,8 @@
 //!
 //! 1. [`scene`]: initial conditions and settings: bodies ([`body`], [`shape`]), emitters and drains ([`flow`]), checked for
 //!    overlaps ([`placement`]).
-//! 2. [`generate`]: random scenes from a seed and an id, of a [`preset`] and an [`extent`] (number of particles).
+//! 2. [`generate`]: random scenes from a seed and an id, of a [`preset`] and an [`extent`] (number of particles);
+//!    [`manipulation`]: those in which a tool moves.
 //! 3. [`simulation`]: chooses stable substeps ([`stability`]), runs them and yields frames; an [`attractor`] acts before
 //!    the first frame. A frame whose substeps were too long ([`bound`]) or whose matter is not sound ([`collapse`]) is run again with
 //!    more of them, or ends the scene.
@@ -38,13 +39,13 @@ mod flow;
 mod g2p;
 mod generate;
 mod grid;
+mod manipulation;
 mod material;
 mod matrix;
 mod order;
 mod p2g;
 mod particle;
 mod placement;
-mod plane;
 mod polar;
 mod preset;
 mod sand;

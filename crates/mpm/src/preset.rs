@@ -26,6 +26,12 @@ pub enum Preset {
     /// Liquid, snow, jelly, rope and two materials together, in turn, 64 x 64 cells, 4.8 s: until
     /// little moves, and a while longer. The particle model is trained and evaluated on it.
     Kinds,
+    /// A blade pushes a heap of sand, liquid, snow or jelly, in turn, 64 x 64 cells, 4.8 s.
+    Push,
+    /// A cup pours sand, liquid, snow or jelly, in turn, over a bed of the same, 64 x 64 cells, 4.8 s.
+    Pour,
+    /// A bucket scoops sand, liquid or snow, in turn, out of a bed, 64 x 64 cells, 4.8 s.
+    Scoop,
 }
 
 impl Preset {
@@ -36,15 +42,23 @@ impl Preset {
             Self::Fluid => "fluid",
             Self::Stiff => "stiff",
             Self::Kinds => "kinds",
+            Self::Push => "push",
+            Self::Pour => "pour",
+            Self::Scoop => "scoop",
         }
     }
 
     /// Cells on a side of the grid.
     pub fn cells(self) -> u32 {
         match self {
-            Self::MultiMaterial | Self::Stiff | Self::Kinds => 64,
             Self::Fluid => 128,
+            _ => 64,
         }
+    }
+
+    /// Whether a tool moves in its scenes.
+    pub fn has_tools(self) -> bool {
+        matches!(self, Self::Push | Self::Pour | Self::Scoop)
     }
 
     /// Cell width (domain lengths).
@@ -62,11 +76,13 @@ impl Preset {
         let frames = match self {
             Self::MultiMaterial | Self::Stiff => Frames::default(),
             Self::Fluid => Frames { duration: 25.0, shortest: Some(5.0), ..Frames::default() },
-            Self::Kinds => Frames { duration: 4.8, ..Frames::default() },
+            Self::Kinds | Self::Push | Self::Pour | Self::Scoop => {
+                Frames { duration: 4.8, ..Frames::default() }
+            }
         };
         let materials = match self {
-            Self::MultiMaterial | Self::Fluid | Self::Kinds => Materials::default(),
             Self::Stiff => Materials { stiffness: 1e5, ..Materials::default() },
+            _ => Materials::default(),
         };
         Scene { cell_width: self.dx(), frames, materials, ..Scene::default() }
     }

@@ -12,10 +12,13 @@ use super::{
     material::Materials,
     order::{self, ParticleOrder},
     particle::Particle,
-    placement, plane,
+    placement,
     tool::{self, Tool},
 };
-use eddy_frames::Material;
+use eddy_frames::{
+    Material, plane,
+    tool::{MAX_FRICTION, Tools},
+};
 
 /// Maximum number of particles per cell width.
 const MAX_PARTICLES_PER_CELL_WIDTH: f32 = 64.0;
@@ -30,8 +33,6 @@ const MAX_RESOLVE: u32 = 8;
 
 /// Maximum stiffness (density x velocity^2); at 1e9 a frame needs 1e5 substeps.
 pub(super) const MAX_STIFFNESS: f64 = 1e9;
-/// Maximum coefficient of friction at walls and tools: with 10 times the normal change of velocity all motion along them is stopped.
-pub(super) const MAX_FRICTION: f64 = 1e3;
 /// Maximum angle of internal friction of sand (degrees).
 const MAX_FRICTION_ANGLE: f64 = 60.0;
 /// Memory per particle (bytes): its state in the scene, in the solver and in two sets of packs, in a frame, its message
@@ -362,6 +363,12 @@ impl Scene {
                 || self.emitters.iter().any(|emitter| emitter.material == *material)
         };
         Material::ALL.into_iter().filter(occurs).collect()
+    }
+
+    /// What its tools are, if it has any.
+    pub fn tools_of_stream(&self) -> Option<Tools> {
+        let tools: Vec<_> = self.tools.iter().map(Tool::body).collect();
+        (!tools.is_empty()).then_some(Tools { stream: self.id, tools })
     }
 
     /// The largest speed of a tool's surface, as far as it lies in the domain (domain lengths per s).

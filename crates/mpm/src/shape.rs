@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::plane;
+use eddy_frames::plane;
 
 /// The outline of a body, relative to its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

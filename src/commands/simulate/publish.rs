@@ -8,11 +8,20 @@ use crate::{
 };
 use eddy_cli::Interrupt;
 use eddy_dataset::simulate::{Job, Recording, Store};
-use eddy_frames::{Frame, clock::Clock};
-use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
-use eddy_mpm::{MpmError, Simulation};
+use eddy_frames::{
+    Frame, Stamp,
+    clock::Clock,
+    tool::{self, Tools},
+};
+use eddy_messages::{
+    self as msg, Message, ParticleFrame, TOOL_DESCRIPTION_QOS, ToolDescription, ToolFrame, cdr,
+    tool_topics,
+};
+use eddy_mpm::{MpmError, Scene, Simulation};
 use eddy_node::Pacer;
-use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
+use eddy_transport::{
+    Link, Publisher, PublisherOptions, Reliability, TransportError, TransportOptions, Transports,
+};
 
 /// Minimum number of frames of a scene for a statement about its pace.
 const MIN_PACE_FRAMES: u32 = 30;
@@ -31,7 +40,8 @@ pub(super) fn run(
     // Sessions end with it, hence it lives until the last message is sent.
     let transports =
         Transports::stopped_by(interrupt.shared(), TransportOptions::from_env("eddy_simulate")?);
-    let mut topics = Topics::open(&transports, link, args)?;
+    let has_tools = job.planned().iter().any(|scene| !scene.start.scene.tools.is_empty());
+    let mut topics = Topics::open(&transports, link, args, has_tools)?;
     println!("publishing on {link} at {rate} x real time, simulated time on {}", topics.clock_link);
     let ready = wait_for_subscribers(link, topics.frames.as_ref(), args.wait_for, interrupt)?;
     if !ready {
@@ -41,6 +51,7 @@ pub(super) fn run(
         let name = job.scene_name(scene.start.id);
         let clock = Clock::start();
         let mut simulation = job.start(scene).with_context(|| name.clone())?;
+        topics.describe(&scene.start.scene)?;
         let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
@@ -56,7 +67,7 @@ pub(super) fn run(
         };
         let complete = Pacer::steady(rate)
             .run(&mut simulation, next, stop, |frame, simulation| {
-                topics.publish(frame)?;
+                topics.publish(frame, simulation)?;
                 if let Some(recording) = &mut recording {
                     recording.add(frame, simulation)?;
                 }
@@ -93,6 +104,8 @@ struct Topics {
     frames: Box<dyn Publisher>,
     clock: Box<dyn Publisher>,
     clock_link: Link,
+    /// Tools, if a scene has any.
+    tools: Option<ToolTopics>,
     sent: u64,
     /// Frames that were not delivered to all subscribers.
     undelivered: u64,
@@ -103,6 +116,7 @@ impl Topics {
         transports: &Transports,
         link: &Link,
         args: &SimulateArgs,
+        has_tools: bool,
     ) -> Result<Self, TransportError> {
         let clock_link = Link { transport: link.transport, topic: "/clock".into() };
         let open = |link: &Link, kind: &str| transports.publisher(link, kind, args.reliability);
@@ -110,17 +124,28 @@ impl Topics {
             frames: open(link, ParticleFrame::TYPE)?,
             clock: open(&clock_link, msg::Clock::TYPE)?,
             clock_link,
+            tools: has_tools
+                .then(|| ToolTopics::open(transports, link, args.reliability))
+                .transpose()?,
             sent: 0,
             undelivered: 0,
         })
     }
 
-    /// Publishes the time, then the frame: a subscriber that has the frame has its time.
-    fn publish(&mut self, frame: &Frame) -> Result<(), TransportError> {
+    /// Publishes what the tools of the next scene are.
+    fn describe(&mut self, scene: &Scene) -> Result<(), TransportError> {
+        match &mut self.tools {
+            Some(topics) => topics.describe(scene.tools_of_stream()),
+            None => Ok(()),
+        }
+    }
+
+    /// Publishes the time and the tools, then the frame: a subscriber that has the frame has its time and its tools.
+    fn publish(&mut self, frame: &Frame, simulation: &Simulation) -> Result<(), TransportError> {
         let time = cdr::encode(&msg::Clock { clock: frame.stamp.into() });
-        match self.clock.publish_cdr(&time) {
-            Err(error) if error.is_missed() => tracing::debug!("{error}"),
-            outcome => outcome?,
+        delivered_or_missed(self.clock.publish_cdr(&time))?;
+        if let Some(tools) = &mut self.tools {
+            tools.publish(&simulation.tool_frame(frame))?;
         }
         self.sent += 1;
         match self.frames.publish_frame(frame) {
@@ -150,5 +175,64 @@ impl Topics {
             "{undelivered} of {sent} frames were not delivered to all subscribers"
         );
         Ok(())
+    }
+}
+
+/// The topics of tools, beside that of the frames.
+struct ToolTopics {
+    poses: Box<dyn Publisher>,
+    description: Box<dyn Publisher>,
+    /// The tools of the scene that runs, if it has any.
+    tools: Option<Tools>,
+    /// Subscribers of the description when it was last published.
+    informed: usize,
+}
+
+impl ToolTopics {
+    fn open(
+        transports: &Transports,
+        frames: &Link,
+        reliability: Reliability,
+    ) -> Result<Self, TransportError> {
+        let [poses, description] =
+            tool_topics(&frames.topic).map(|topic| Link { transport: frames.transport, topic });
+        let latched =
+            PublisherOptions { reliability: Reliability::Drop, qos: Some(TOOL_DESCRIPTION_QOS) };
+        Ok(Self {
+            poses: transports.publisher(&poses, ToolFrame::TYPE, reliability)?,
+            description: transports.publisher(&description, ToolDescription::TYPE, latched)?,
+            tools: None,
+            informed: 0,
+        })
+    }
+
+    /// Publishes what the tools of the next scene are, if it has any.
+    fn describe(&mut self, tools: Option<Tools>) -> Result<(), TransportError> {
+        self.tools = tools;
+        let Some(tools) = &self.tools else { return Ok(()) };
+        self.informed = self.description.subscribers();
+        let message = ToolDescription::of(tools, Stamp(0));
+        delivered_or_missed(self.description.publish_cdr(&cdr::encode(&message)))
+    }
+
+    /// Publishes where they are, and again what they are when a subscriber has come: shared memory keeps nothing for it.
+    fn publish(&mut self, frame: &tool::ToolFrame) -> Result<(), TransportError> {
+        if self.description.subscribers() > self.informed {
+            let tools = self.tools.take();
+            self.describe(tools)?;
+        }
+        let Some(tools) = &self.tools else { return Ok(()) };
+        delivered_or_missed(self.poses.publish_cdr(&cdr::encode(&ToolFrame::of(frame, tools))))
+    }
+}
+
+/// Takes it that a message has missed a subscriber, which the log says.
+fn delivered_or_missed(outcome: Result<(), TransportError>) -> Result<(), TransportError> {
+    match outcome {
+        Err(error) if error.is_missed() => {
+            tracing::debug!("{error}");
+            Ok(())
+        }
+        outcome => outcome,
     }
 }

@@ -129,7 +129,7 @@ impl BagWriter {
     pub fn topic(&mut self, name: &str, type_name: &str) -> Result<TopicId, BagError> {
         let support = type_support(type_name)
             .map_err(|reason| BagError::Type { topic: name.into(), reason })?;
-        self.offered_topic(name, support, &[QosProfile::default()])
+        self.offered_topic(name, support, &[QosProfile::usual(type_name)])
     }
 
     /// Adds a topic of any type, whose publishers offer `offered`, or returns its id if it exists.

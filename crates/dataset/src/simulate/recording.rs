@@ -14,8 +14,11 @@ use super::{
 };
 use crate::{FIELDS_TOPIC, TRUTH_TOPIC};
 use eddy_bag::{BagError, BagWriter, TopicId, WriterOptions, custom_data::Quantity};
-use eddy_frames::Frame;
-use eddy_messages::{FrameCdr, Message, ParticleFrame, PointCloud2, cloud};
+use eddy_frames::{Frame, Stamp, tool::Tools};
+use eddy_messages::{
+    FrameCdr, Message, ParticleFrame, PointCloud2, ToolDescription, ToolFrame, cdr, cloud,
+    tool_topics,
+};
 use eddy_mpm::{ParticleState, Simulation};
 
 /// The output directory, locked by this process or shared with others.
@@ -94,6 +97,8 @@ pub struct Recording {
     topic: TopicId,
     /// The topic of pressure and energy, if they are recorded.
     fields: Option<TopicId>,
+    /// The tools and their topic, if there are any.
+    tools: Option<(Tools, TopicId)>,
     digest: Sha256,
     frames: u64,
     energy: EnergyCurve,
@@ -115,11 +120,13 @@ impl Recording {
             .records_fields
             .then(|| writer.topic(FIELDS_TOPIC, PointCloud2::TYPE))
             .transpose()?;
+        let tools = start.scene.tools_of_stream();
+        let tools = tools.map(|tools| describe(tools, &mut writer)).transpose()?;
         let (digest, energy) = (Sha256::new(), EnergyCurve::default());
-        Ok(Self { start: start.clone(), writer, topic, fields, digest, frames: 0, energy })
+        Ok(Self { start: start.clone(), writer, topic, fields, tools, digest, frames: 0, energy })
     }
 
-    /// Adds the next frame of a simulation and its energy; pressure and energy of every particle, if requested.
+    /// Adds the next frame of a simulation, its energy and its tools; pressure and energy of every particle, if requested.
     ///
     /// # Errors
     /// As [`BagWriter::write`]; [`SimulateError::Implausible`].
@@ -131,6 +138,10 @@ impl Recording {
         self.digest.update(&cdr);
         self.energy.push(frame.stamp.seconds(), simulation.energy());
         self.frames += 1;
+        if let Some((tools, topic)) = &self.tools {
+            let cdr = cdr::encode(&ToolFrame::of(&simulation.tool_frame(frame), tools));
+            self.writer.write_stamped(*topic, frame.stamp, &cdr)?;
+        }
         self.writer.write_stamped(self.topic, frame.stamp, &cdr)?;
         let Some(topic) = self.fields else { return Ok(()) };
         let ParticleState { pressure, energy } = simulation.particle_state();
@@ -154,4 +165,14 @@ impl Recording {
             sha256: format!("{:x}", self.digest.finalize()),
         })
     }
+}
+
+/// Writes what the tools of a scene are, and adds the topic of their poses.
+fn describe(tools: Tools, writer: &mut BagWriter) -> Result<(Tools, TopicId), BagError> {
+    let [poses, description] = tool_topics(TRUTH_TOPIC);
+    let topic = writer.topic(&description, ToolDescription::TYPE)?;
+    let message = ToolDescription::of(&tools, Stamp(0));
+    writer.write_stamped(topic, Stamp(0), &cdr::encode(&message))?;
+    let topic = writer.topic(&poses, ToolFrame::TYPE)?;
+    Ok((tools, topic))
 }

@@ -19,7 +19,10 @@ use super::{
     state::ParticleState,
     tool::{Motion, Pose, Tool, ToolLoad},
 };
-use eddy_frames::{Domain, Frame, Stamp, decimal};
+use eddy_frames::{
+    Domain, Frame, Stamp, decimal,
+    tool::{ToolFrame, ToolState, Wrench},
+};
 
 /// Maximum number of substeps per frame; the stiffest materials need a few hundred thousand.
 const MAX_SUBSTEPS: u32 = 1_000_000;
@@ -100,6 +103,8 @@ pub struct Simulation {
     refined: Vec<[u64; 2]>,
     /// How the tools move by hand in the interval that runs next, if they do, in the coordinates of frames.
     by_hand: Option<Vec<Motion>>,
+    /// How each tool has moved in the interval before the last frame, in the coordinates of frames.
+    moved: Vec<Motion>,
     /// Energy that the particles had at the first frame or got since then; no interval is checked before.
     budget: Option<f64>,
     /// The energy of the last frame.
@@ -154,8 +159,9 @@ impl Simulation {
         let mut solver = Solver::new(particles.clone(), solver_settings)
             .map_err(|particle| diverged(&particles, particle, 0.0))?;
         solver.tools.clone_from(&scene.tools);
-        let rest = |tool: &Tool| Motion::rest(tool.pose(0.0)).shifted(shift);
-        solver.motions = scene.tools.iter().map(rest).collect();
+        let moved: Vec<Motion> =
+            scene.tools.iter().map(|tool| Motion::rest(tool.pose(0.0))).collect();
+        solver.motions = moved.iter().map(|motion| motion.shifted(shift)).collect();
         let intervals =
             |seconds: f64| ((seconds / decimal(scene.frames.interval)).round() as u64).max(1);
         let most_frames = intervals(scene.frames.duration);
@@ -171,6 +177,7 @@ impl Simulation {
             refinements: 0,
             refined: Vec::new(),
             by_hand: None,
+            moved,
             budget: None,
             energy,
             threads,
@@ -322,7 +329,28 @@ impl Simulation {
 
     /// Where each tool is at the last frame.
     pub fn poses(&self) -> Vec<Pose> {
-        self.motions().iter().map(|motion| motion.start).collect()
+        self.moved.iter().map(|motion| motion.end).collect()
+    }
+
+    /// Where the tools are at a frame, which is the last one, and what matter has done to them in the interval before it.
+    pub fn tool_frame(&self, frame: &Frame) -> ToolFrame {
+        let interval = self.interval();
+        let state = |&Motion { start, end }: &Motion| ToolState {
+            pose: end,
+            velocity: [0, 1].map(|k| per_second(end.position[k] - start.position[k], interval)),
+            spin: per_second(end.angle - start.angle, interval),
+        };
+        let wrench = |load: &ToolLoad| Wrench {
+            force: load.impulse.map(|impulse| impulse / interval),
+            torque: load.angular / interval,
+        };
+        let wrenches = match frame.sequence {
+            0 => Vec::new(),
+            _ => self.loads().iter().map(wrench).collect(),
+        };
+        let states = self.moved.iter().map(state).collect();
+        let Frame { stream, sequence, stamp, .. } = *frame;
+        ToolFrame { stream, sequence, stamp, states, wrenches }
     }
 
     /// Goes on when the solver has run an interval with this outcome ([`Solver::advance`]): checks the particles, applies emitters and
@@ -349,6 +377,7 @@ impl Simulation {
             self.refined.push([number, self.attempt.into()]);
         }
         (self.attempt, self.refinements) = (self.substeps, 0);
+        self.moved = self.motions();
         for motion in self.by_hand.iter_mut().flatten() {
             *motion = Motion::rest(motion.end);
         }
@@ -592,6 +621,11 @@ fn substeps(scene: &Scene, GridShape { cells, dx }: GridShape) -> Result<u32, Mp
         }
         requested => Ok(requested.unwrap_or(minimum)),
     }
+}
+
+/// The rate of a change in an interval of so many seconds.
+fn per_second(change: f32, interval: f64) -> f32 {
+    (f64::from(change) / interval) as f32
 }
 
 fn diverged(particles: &[Particle], particle: usize, time: f64) -> MpmError {

@@ -298,6 +298,30 @@ fn tools_that_are_moved_by_hand_along_their_keyframes_move_the_same() {
 }
 
 #[test]
+fn a_frame_of_tools_says_where_they_are_how_they_move_and_what_matter_does() {
+    let mut simulation = Simulation::new(pushed(), &Settings::default()).unwrap();
+    for sequence in 0..15 {
+        let frame = simulation.next_frame().unwrap().unwrap();
+        let tools = simulation.tool_frame(&frame);
+        let time = frame.stamp.seconds();
+        assert_eq!((tools.sequence, tools.stamp), (sequence, frame.stamp));
+        assert_eq!(tools.states[0].pose, pushed().tools[0].pose(time));
+        // 0.1 in 0.16 s.
+        let speed = if (1..=10).contains(&sequence) { 0.625 } else { 0.0 };
+        assert!((tools.states[0].velocity[0] - speed).abs() < 1e-4, "frame {sequence}");
+        match tools.wrenches[..] {
+            [] => assert_eq!(sequence, 0),
+            [wrench] => {
+                let impulse = wrench.force.map(|force| force * decimal(FRAME_INTERVAL));
+                let expected = simulation.loads()[0].impulse;
+                assert!((0..2).all(|k| (impulse[k] - expected[k]).abs() < 1e-12));
+            }
+            _ => panic!("{} wrenches of one tool", tools.wrenches.len()),
+        }
+    }
+}
+
+#[test]
 fn a_way_by_hand_that_cannot_be_is_refused_and_nothing_moves() {
     let mut simulation = Simulation::new(pushed(), &Settings::default()).unwrap();
     let pose = pushed().tools[0].pose(0.0);

@@ -9,9 +9,7 @@
 
 use super::{
     super::{grid::at_walls, matrix::Matrix2, spline::Stencil, step::Step},
-    Contact, Part, ToolMotion,
-    outline::Edge,
-    path::Pose,
+    Contact, Edge, Part, Pose, ToolMotion, met,
 };
 
 /// Distance from the surface at which particles end that would enter a tool (cells).
@@ -275,7 +273,7 @@ impl Barriers {
         let tool = &self.tools[tool];
         let surface = tool.velocity_at(point);
         let relative = [velocity[0] - surface[0], velocity[1] - surface[1]];
-        let left = tool.contact.met(relative, normal);
+        let left = met(tool.contact, relative, normal);
         let [x, y] = [0, 1].map(|k| f64::from(mass * (relative[k] - left[k])));
         load.impulse = [load.impulse[0] + x, load.impulse[1] + y];
         let arm = [0, 1].map(|k| f64::from(point[k] - tool.pose.position[k]));

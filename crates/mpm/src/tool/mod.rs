@@ -1,30 +1,21 @@
 //! Tools: rigid bodies with prescribed motion that push matter, such as a cup or a blade.
 //!
-//! A tool has an outline ([`outline`]), a law of contact and a path ([`path`]). In a substep it is a [`barrier`] between particles and
+//! A tool has an outline and a law of contact ([`eddy_frames::tool`]), and a path ([`path`]). In a substep it is a [`barrier`] between particles and
 //! nodes.
 
 mod barrier;
-mod outline;
 mod path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{
-    error::MpmError,
-    grid::GridShape,
-    particle::Particle,
-    plane,
-    scene::{MAX_FRICTION, Scene, positive},
-};
+use super::{error::MpmError, grid::GridShape, particle::Particle, scene::Scene};
+use eddy_frames::tool as body;
 
 pub use barrier::ToolLoad;
 pub(super) use barrier::{Barriers, Hidden, Loads};
-pub use outline::Outline;
-use outline::Part;
-pub use path::{Keyframe, Motion, Pose};
-
-/// Maximum number of tools of a scene.
-pub const MAX_TOOLS: usize = 8;
+pub use eddy_frames::tool::{Contact, MAX_TOOLS, Outline, Pose};
+use eddy_frames::tool::{Edge, Part};
+pub use path::{Keyframe, Motion};
 
 /// A rigid body whose motion is given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,19 +33,6 @@ pub struct Tool {
     pub keyframes: Vec<Keyframe>,
 }
 
-/// What matter does at the surface of a tool.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum Contact {
-    /// It moves with the tool.
-    Sticky,
-    /// It slides along the surface and leaves it freely.
-    #[default]
-    Slip,
-    /// It slides against Coulomb's friction with this coefficient, and leaves the surface freely.
-    Friction(f32),
-}
-
 /// How all tools move in an interval of so many substeps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ToolMotion<'a> {
@@ -64,27 +42,25 @@ pub(super) struct ToolMotion<'a> {
     pub(super) grid: GridShape,
 }
 
-impl Contact {
-    /// The velocity of matter that meets a surface: `relative` to it, with its outward normal.
-    #[inline]
-    pub(super) fn met(self, relative: [f32; 2], normal: [f32; 2]) -> [f32; 2] {
-        let into = relative[0] * normal[0] + relative[1] * normal[1];
-        let friction = match self {
-            Self::Sticky => return [0.0; 2],
-            Self::Slip => 0.0,
-            Self::Friction(friction) => friction,
-        };
-        if into >= 0.0 {
-            return relative;
-        }
-        let along = [relative[0] - into * normal[0], relative[1] - into * normal[1]];
-        let speed = (along[0] * along[0] + along[1] * along[1]).sqrt();
-        let taken = 0.0 - friction * into;
-        if taken >= speed {
-            return [0.0; 2];
-        }
-        along.map(|v| v * (1.0 - taken / speed))
+/// The velocity of matter that meets a surface: `relative` to it, with its outward normal.
+#[inline]
+fn met(contact: Contact, relative: [f32; 2], normal: [f32; 2]) -> [f32; 2] {
+    let into = relative[0] * normal[0] + relative[1] * normal[1];
+    let friction = match contact {
+        Contact::Sticky => return [0.0; 2],
+        Contact::Slip => 0.0,
+        Contact::Friction(friction) => friction,
+    };
+    if into >= 0.0 {
+        return relative;
     }
+    let along = [relative[0] - into * normal[0], relative[1] - into * normal[1]];
+    let speed = (along[0] * along[0] + along[1] * along[1]).sqrt();
+    let taken = 0.0 - friction * into;
+    if taken >= speed {
+        return [0.0; 2];
+    }
+    along.map(|v| v * (1.0 - taken / speed))
 }
 
 /// Checks the tools of a scene, without its bodies.
@@ -96,21 +72,15 @@ pub(super) fn check(tools: &[Tool], scene: &Scene) -> Result<(), MpmError> {
     let wrong = |field: String, found: String, expected: &str| {
         Err(MpmError::Field { field, found, expected: expected.into() })
     };
-    if tools.len() > MAX_TOOLS {
-        let expected = format!("at most {MAX_TOOLS}");
-        return wrong("tools".into(), tools.len().to_string(), &expected);
-    }
+    let bodies: Vec<body::Tool> = tools.iter().map(Tool::body).collect();
+    body::check(&bodies)?;
     if !tools.is_empty() && scene.attractor.is_some() {
         let expected = "tools without an attractor";
         return wrong("attractor".into(), "an attractor and tools".into(), expected);
     }
     for (index, tool) in tools.iter().enumerate() {
         let field = format!("tools[{index}]");
-        tool.check(&field)?;
-        if let Some(other) = tools[..index].iter().position(|other| other.name == tool.name) {
-            let found = format!("{:?}, which is also the name of tools[{other}]", tool.name);
-            return wrong(format!("{field}.name"), found, "a name of its own");
-        }
+        path::check(&tool.keyframes, &format!("{field}.keyframes"))?;
         let reach = tool.reach_in(domain);
         for (number, keyframe) in tool.keyframes.iter().enumerate() {
             let is_outside = (0..2)
@@ -174,24 +144,10 @@ pub(super) fn check_room(
 }
 
 impl Tool {
-    /// Checks name, numbers and outline; `field` is the tool's name in its file.
-    pub(super) fn check(&self, field: &str) -> Result<(), MpmError> {
-        let wrong = |name: &str, found: String, expected: &str| {
-            let field = format!("{field}.{name}");
-            Err(MpmError::Field { field, found, expected: expected.into() })
-        };
-        if self.name.is_empty() {
-            return wrong("name", "an empty name".into(), "a name");
-        }
-        if let Some((name, found, expected)) = self.shape.invalid() {
-            return wrong(&format!("shape.{name}"), found, expected);
-        }
-        if let Contact::Friction(friction) = self.contact
-            && friction != 0.0
-        {
-            positive(&format!("{field}.contact.friction"), friction.into(), MAX_FRICTION)?;
-        }
-        path::check(&self.keyframes, &format!("{field}.keyframes"))
+    /// What it is, without its path.
+    pub fn body(&self) -> body::Tool {
+        let Self { name, shape, contact, .. } = self.clone();
+        body::Tool { name, shape, contact }
     }
 
     /// Where it is at a time after the first frame (s).
@@ -222,13 +178,14 @@ mod tests {
 
     #[test]
     fn contact_keeps_slides_or_rubs() {
-        let met = |contact: Contact| contact.met([3.0, -2.0], [0.0, 1.0]);
+        let leaves = |contact: Contact| met(contact, [3.0, 2.0], [0.0, 1.0]);
+        let met = |contact: Contact| met(contact, [3.0, -2.0], [0.0, 1.0]);
         assert_eq!(met(Contact::Sticky), [0.0, 0.0]);
         assert_eq!(met(Contact::Slip), [3.0, 0.0]);
         assert_eq!(met(Contact::Friction(0.75)), [1.5, 0.0]);
         assert_eq!(met(Contact::Friction(1.5)), [0.0, 0.0]);
-        assert_eq!(Contact::Friction(1.5).met([3.0, 2.0], [0.0, 1.0]), [3.0, 2.0], "it leaves");
-        assert_eq!(Contact::Sticky.met([3.0, 2.0], [0.0, 1.0]), [0.0, 0.0]);
+        assert_eq!(leaves(Contact::Friction(1.5)), [3.0, 2.0]);
+        assert_eq!(leaves(Contact::Sticky), [0.0, 0.0]);
     }
 
     /// The error of a scene with a block in the middle and these tools.
@@ -259,7 +216,7 @@ mod tests {
             (disc("", 0.2), "tools[0].name: found an empty name, expected a name"),
             (
                 disc("a", 0.2) + "," + &disc("a", 0.4),
-                "tools[1].name: found \"a\", which is also the name of tools[0]",
+                "tools[1].name: found \"a\", the name of another tool, expected",
             ),
             (
                 disc("a", 0.2) + "," + &disc("b", 0.29),

@@ -4,25 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     super::{error::MpmError, scene::finite},
-    plane,
+    Pose,
 };
-
-/// Position and rotation of a tool.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Where the origin of its outline is (domain lengths).
-    pub position: [f32; 2],
-    /// Counter-clockwise rotation about it (rad).
-    pub angle: f32,
-}
-
-impl Pose {
-    /// Cosine and sine of its angle, with the same bits on every machine.
-    pub(super) fn direction(&self) -> [f32; 2] {
-        let (sin, cos) = libm::sincosf(self.angle);
-        [cos, sin]
-    }
-}
+use eddy_frames::plane;
 
 /// Where a tool is at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,19 +4,17 @@
 use serde::{Deserialize, Deserializer, de::Error};
 
 /// Two numbers.
-pub(super) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 2], D::Error> {
+pub fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f32; 2], D::Error> {
     two(&Vec::deserialize(deserializer)?)
 }
 
 /// A list of two numbers each.
-pub(super) fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f32; 2]>, D::Error> {
+pub fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f32; 2]>, D::Error> {
     Vec::<Vec<f32>>::deserialize(deserializer)?.iter().map(|numbers| two(numbers)).collect()
 }
 
 /// A list of such lists.
-pub(super) fn lists<'de, D: Deserializer<'de>>(
-    deserializer: D,
-) -> Result<Vec<Vec<[f32; 2]>>, D::Error> {
+pub fn lists<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Vec<[f32; 2]>>, D::Error> {
     let lists = Vec::<Vec<Vec<f32>>>::deserialize(deserializer)?;
     lists.iter().map(|list| list.iter().map(|numbers| two(numbers)).collect()).collect()
 }

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{path::Pose, plane};
+use super::Pose;
+use crate::plane;
 
 /// The outline of a tool, relative to its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,7 +35,7 @@ const LONGEST: f32 = 1e4;
 
 /// A convex part of an outline.
 #[derive(Clone, Debug, PartialEq)]
-pub(in super::super) enum Part {
+pub enum Part {
     /// A disc.
     Disc {
         /// Its centre.
@@ -53,17 +54,17 @@ pub(in super::super) enum Part {
 
 /// A straight edge: matter is where `normal x > offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in super::super) struct Edge {
+pub struct Edge {
     /// Points outwards, of length 1.
-    pub(super) normal: [f32; 2],
+    pub normal: [f32; 2],
     /// Distance of the edge from the origin.
-    pub(super) offset: f32,
+    pub offset: f32,
 }
 
 impl Edge {
     /// Distance of a point in front of it; negative behind it.
     #[inline]
-    pub(super) fn distance(&self, [x, y]: [f32; 2]) -> f32 {
+    pub fn distance(&self, [x, y]: [f32; 2]) -> f32 {
         self.normal[0] * x + self.normal[1] * y - self.offset
     }
 
@@ -78,7 +79,7 @@ impl Edge {
 
 impl Outline {
     /// The first invalid number or polygon, as field, found and expected.
-    pub(super) fn invalid(&self) -> Option<(String, String, &'static str)> {
+    pub fn invalid(&self) -> Option<(String, String, &'static str)> {
         let length = |field: &str, found: f32| {
             let fine = found > 0.0 && found <= LONGEST;
             (!fine).then(|| (field.to_owned(), found.to_string(), "a positive number up to 1e4"))
@@ -102,7 +103,7 @@ impl Outline {
     }
 
     /// Its convex parts.
-    pub(in super::super) fn parts(&self) -> Vec<Part> {
+    pub fn parts(&self) -> Vec<Part> {
         let convex = |corners: &[[f32; 2]]| {
             let mut corners = corners.to_vec();
             if area(&corners) < 0.0 {
@@ -128,19 +129,19 @@ impl Outline {
     }
 
     /// Its parts where it is.
-    pub(in super::super) fn posed(&self, pose: Pose) -> Vec<Part> {
+    pub fn posed(&self, pose: Pose) -> Vec<Part> {
         let direction = pose.direction();
         self.parts().iter().map(|part| part.posed(pose, direction)).collect()
     }
 
     /// Whether it has a point in common with another one.
-    pub(in super::super) fn overlaps(&self, pose: Pose, other: &Self, other_pose: Pose) -> bool {
+    pub fn overlaps(&self, pose: Pose, other: &Self, other_pose: Pose) -> bool {
         let others = other.posed(other_pose);
         self.posed(pose).iter().any(|part| others.iter().any(|other| part.overlaps(other)))
     }
 
     /// Distance of its farthest point from its position (domain lengths); infinite for a half-plane.
-    pub(in super::super) fn reach(&self) -> f32 {
+    pub fn reach(&self) -> f32 {
         let length = |[x, y]: [f32; 2]| (x * x + y * y).sqrt();
         match self {
             Self::HalfPlane => f32::INFINITY,
@@ -155,7 +156,7 @@ impl Outline {
 
 impl Part {
     /// The part of a tool that is there.
-    pub(super) fn posed(&self, pose: Pose, [cos, sin]: [f32; 2]) -> Self {
+    pub fn posed(&self, pose: Pose, [cos, sin]: [f32; 2]) -> Self {
         let [x0, y0] = pose.position;
         let turned = |[x, y]: [f32; 2]| [cos * x - sin * y, sin * x + cos * y];
         let moved = |point: [f32; 2]| {
@@ -217,7 +218,7 @@ impl Part {
     }
 
     /// Corners of the box around it, lower first; infinite for a half-plane.
-    pub(super) fn bounds(&self) -> [[f32; 2]; 2] {
+    pub fn bounds(&self) -> [[f32; 2]; 2] {
         match self {
             Self::Disc { centre, radius } => {
                 [centre.map(|x| x - radius), centre.map(|x| x + radius)]
@@ -236,7 +237,7 @@ impl Part {
 
     /// Distance of a point from it, negative inside; less beside a corner.
     #[inline]
-    pub(in super::super) fn distance(&self, point: [f32; 2]) -> f32 {
+    pub fn distance(&self, point: [f32; 2]) -> f32 {
         match self {
             Self::Disc { centre, radius } => {
                 let [x, y] = [point[0] - centre[0], point[1] - centre[1]];
@@ -249,7 +250,7 @@ impl Part {
     }
 
     /// The straight surface that is nearest to a point: an edge, or a disc's tangent.
-    pub(super) fn surface(&self, point: [f32; 2]) -> Edge {
+    pub fn surface(&self, point: [f32; 2]) -> Edge {
         match self {
             Self::Disc { centre, radius } => {
                 tangent(*centre, *radius, [point[0] - centre[0], point[1] - centre[1]])
@@ -268,7 +269,7 @@ impl Part {
     }
 
     /// The surface that a point is straight in front of, and its distance; `None` inside and beside a corner.
-    pub(super) fn faced(&self, point: [f32; 2]) -> Option<(f32, Edge)> {
+    pub fn faced(&self, point: [f32; 2]) -> Option<(f32, Edge)> {
         let surface = self.surface(point);
         let distance = surface.distance(point);
         if distance < 0.0 {
@@ -289,7 +290,7 @@ impl Part {
     /// Where the way from one point to another enters it: the share of the way, 0 to 1, and the surface there. A way that begins
     /// inside enters at once, through the nearest surface.
     #[inline]
-    pub(super) fn entered(&self, from: [f32; 2], to: [f32; 2]) -> Option<(f32, Edge)> {
+    pub fn entered(&self, from: [f32; 2], to: [f32; 2]) -> Option<(f32, Edge)> {
         match self {
             Self::Disc { centre, radius } => {
                 let [x, y] = [from[0] - centre[0], from[1] - centre[1]];
