@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use eddy_messages::{BadFrame, UnknownType};
+use eddy_messages::{BadFrame, BadTool, UnknownType};
 use eddy_settings::near;
 
 /// `: stream 3, frame 7`, if they are known.
@@ -66,6 +66,9 @@ pub enum BagError {
         place: Option<(u64, u64)>,
         reason: Box<BadFrame>,
     },
+    /// A message on a topic of tools cannot be used; `message` counts from 0 in log-time order.
+    #[error("{path}: topic {topic}, message {message}: {reason}", path = .path.display())]
+    Tools { path: PathBuf, topic: String, message: u64, reason: Box<BadTool> },
     /// MCAP's times are unsigned; `field` is `log_time` or `publish_time`.
     #[error("{path}: topic {topic}: {field}: found {found} ns, expected 0 or later", path = .path.display())]
     NegativeTime { path: PathBuf, topic: String, field: &'static str, found: i64 },

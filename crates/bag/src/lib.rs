@@ -34,6 +34,7 @@ pub use read::{
     messages::{BagMessage, Messages, Selection},
     reader::{BagReader, Frames},
     survey::{Finding, StreamSurvey, Survey, TopicSurvey},
+    tools::RecordedTools,
 };
 pub use repair::{Recovered, Recovery, Reindexed, Reindexing};
 pub use write::{

@@ -44,7 +44,7 @@ pub use messages::{
 pub use qos::{QosProfile, TOOL_DESCRIPTION_QOS};
 pub use schema::{TypeSupport, UnknownType, type_support};
 pub use service_type::{UnknownService, service_hash, service_messages};
-pub use tools::tool_topics;
+pub use tools::{BadTool, tool_topics};
 
 use serde::{Serialize, de::DeserializeOwned};
 

@@ -4,12 +4,23 @@
 
 use super::{
     Header, Point, Pose, Quaternion, Tool, ToolDescription, ToolFrame, ToolPart, Twist, Vector3,
-    Wrench,
+    Wrench, cdr::CdrError,
 };
 use eddy_frames::{
     Stamp,
     tool::{self, Contact, InvalidTool, Outline, ToolState, Tools},
 };
+
+/// A message that says nothing valid of tools.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BadTool {
+    /// The bytes are not a message of the type.
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
+    /// The message is not valid.
+    #[error(transparent)]
+    Invalid(#[from] InvalidTool),
+}
 
 /// By how much a number that should be 0 in the plane, or 1 as the length of a quaternion, may differ from it.
 const TOLERANCE: f64 = 1e-3;

@@ -9,6 +9,7 @@
 //! 5. `contents`: files and topics of an open bag; `messages`: its messages, merged by time.
 //!    `kept`: those that publishers have kept for late subscribers at a moment.
 //! 6. `reader`: topics, messages and frames of a bag.
+//!    `tools`: the tools of its streams.
 //! 7. `survey`: a check of everything in a bag; `agreement`: of what `metadata.yaml` says.
 
 mod agreement;
@@ -28,3 +29,4 @@ mod scan;
 mod statements;
 mod summary;
 pub(crate) mod survey;
+pub(crate) mod tools;
