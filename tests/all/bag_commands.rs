@@ -9,7 +9,7 @@ use std::{
 
 use eddy_bag::{BagReader, BagWriter, Split, WriterOptions};
 use eddy_frames::{Frame, Stamp};
-use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, TypeSupport};
+use eddy_messages::{FrameCdr, Message, ParticleFrame, RosString, TypeSupport, type_support};
 use mcap::records::MessageHeader;
 
 use crate::{
@@ -349,6 +349,19 @@ fn a_sector_that_cannot_be_read_costs_the_chunks_that_it_is_in() {
         .unwrap();
     assert_eq!(output.status.code(), Some(3), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(messages(&saved).len() >= 390);
+}
+
+#[test]
+fn the_sample_has_the_definition_of_today() {
+    let bag = BagReader::open("bags/sample".as_ref()).unwrap();
+    let definitions: Vec<_> = bag.channels().iter().map(|it| it.schema.clone().unwrap()).collect();
+    let [definition] = &definitions[..] else { panic!("one topic") };
+    let expected = &type_support(ParticleFrame::TYPE).unwrap().schema;
+    assert_eq!(
+        String::from_utf8_lossy(&definition.data),
+        *expected,
+        "bags/README.md says how to make it"
+    );
 }
 
 #[test]

@@ -9,6 +9,10 @@ pub type Rgb = [u8; 3];
 pub const WHITE: Rgb = [255; 3];
 /// Outline of the domain.
 pub const GREY: Rgb = [150; 3];
+/// Tools.
+pub const TOOL: Rgb = [95, 100, 110];
+/// Forces on tools.
+pub const FORCE: Rgb = [190, 30, 45];
 /// Text.
 pub const BLACK: Rgb = [30; 3];
 

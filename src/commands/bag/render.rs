@@ -1,6 +1,7 @@
 //! `eddy bag render`.
 
 use std::{
+    collections::BTreeMap,
     fs, iter,
     path::{Path, PathBuf},
 };
@@ -9,16 +10,20 @@ use anyhow::bail;
 
 use super::find_streams;
 use crate::cli::{Color, RenderArgs};
+use eddy_bag::{BagReader, RecordedTools};
 use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
 use eddy_frames::{Frame, Material};
 use eddy_pages::picture::{
-    Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
+    Animation, Canvas, Coloring, ForceScale, Kind, Painter, Shape, animation_timing, evenly_spaced,
+    shapes, write_png,
 };
 use eddy_settings::{atomic::Staged, usage::Usage};
 
 /// Longer side of the domain in a strip (pixels).
 const STRIP_SIZE: usize = 240;
+/// Length of the arrow of the strongest force on a tool (share of the domain's height).
+const LONGEST_ARROW: f32 = 0.2;
 /// Longer side of the domain in an animation (pixels).
 const ANIMATION_SIZE: usize = 480;
 
@@ -111,6 +116,7 @@ fn draw(
     // One row per topic.
     let mut rows: Vec<Vec<Canvas>> = vec![Vec::new(); sides.len()];
     let mut film = None;
+    let tools: Vec<_> = args.topic.iter().map(|topic| DrawnTools::of(track, topic)).collect();
     let bar = progress_bar(track.frames as u64, "frames", quiet);
     let mut sides = sides.iter().map(|side| frames_of(side, track.stream));
     let first = sides.next().unwrap_or_else(|| Ok(Box::new(iter::empty())))?;
@@ -118,11 +124,14 @@ fn draw(
     for (index, frames) in aligned.enumerate() {
         let frames = frames?;
         let views = |painter: &Painter| -> Vec<Canvas> {
-            let panel = |(topic, frame): (&String, &Option<Frame>)| match frame {
-                Some(frame) if args.topic.len() == 1 => painter.panel(frame),
-                frame => painter.named_panel(topic, frame.as_ref()),
+            let panel = |((topic, frame), tools): ((&String, &Option<Frame>), &DrawnTools)| {
+                let shapes = frame.as_ref().map_or_else(Vec::new, |frame| tools.at(frame.sequence));
+                match frame {
+                    Some(frame) if args.topic.len() == 1 => painter.panel(frame, &shapes),
+                    frame => painter.named_panel(topic, frame.as_ref(), &shapes),
+                }
             };
-            args.topic.iter().zip(&frames).map(panel).collect()
+            args.topic.iter().zip(&frames).zip(&tools).map(panel).collect()
         };
         if interrupt.requested() {
             return Err(ExchangeError::Interrupted.into());
@@ -152,6 +161,32 @@ fn draw(
     }
     film.map_or(Ok(()), Animation::finish)?;
     Ok(())
+}
+
+/// The tools of the stream that is drawn.
+struct DrawnTools(Option<(RecordedTools, ForceScale)>);
+
+impl DrawnTools {
+    /// Those beside a topic; none if the bag has none, or they cannot be used, which is logged.
+    fn of(track: &Track, topic: &str) -> Self {
+        let read = BagReader::open(&track.bag).and_then(|bag| bag.tools(topic));
+        let all = read.unwrap_or_else(|error| {
+            tracing::warn!("{error}; drawn without tools");
+            BTreeMap::new()
+        });
+        let length = LONGEST_ARROW * (track.domain.upper[1] - track.domain.lower[1]);
+        let of_stream = all.into_iter().find(|(stream, _)| *stream == track.stream);
+        Self(of_stream.map(|(_, tools)| {
+            let scale = ForceScale::of(tools.frames.values(), length);
+            (tools, scale)
+        }))
+    }
+
+    /// Their shapes at a frame.
+    fn at(&self, sequence: u64) -> Vec<Shape> {
+        let Some((RecordedTools { tools, frames }, scale)) = &self.0 else { return Vec::new() };
+        frames.get(&sequence).map_or_else(Vec::new, |frame| shapes(tools, frame, *scale))
+    }
 }
 
 /// The frames of a stream on one topic; none if the topic lacks the stream.

@@ -22,7 +22,8 @@ use crate::{
 };
 use eddy_frames::{AnyDomain, AnyFrame, Frame, Stamp, decimal, with_frame};
 use eddy_messages::{
-    BadFrame, FrameCdr, Message, ParticleFrame, TypeSupport, cdr, dynamic, type_support,
+    BadFrame, FrameCdr, Message, ParticleFrame, TypeSupport, cdr, dynamic, tool_topics,
+    type_support,
 };
 
 /// Maximum number of groups of findings; findings beyond them are only counted.
@@ -128,6 +129,7 @@ impl Survey {
             progress(read);
         }
         survey.check_counts(bag);
+        survey.check_tools(bag);
         agreement::disagreements(bag).into_iter().for_each(|finding| survey.add_finding(finding));
         survey
     }
@@ -182,6 +184,19 @@ impl Survey {
             self.findings.push(Finding { group, first: finding, count: 1 });
         } else {
             self.further_findings += 1;
+        }
+    }
+
+    /// Checks the tools beside each topic of frames; other damage is found with the messages.
+    fn check_tools(&mut self, bag: &BagReader) {
+        let frames = bag.topics().iter().filter(|topic| topic.type_name == ParticleFrame::TYPE);
+        // Several topics of frames may have the same tools.
+        let beside: BTreeMap<_, _> =
+            frames.map(|topic| (tool_topics(&topic.name), &topic.name)).collect();
+        for topic in beside.into_values() {
+            if let Err(error @ BagError::Tools { .. }) = bag.tools(topic) {
+                self.add_finding(error.to_string());
+            }
         }
     }
 

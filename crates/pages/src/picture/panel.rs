@@ -1,6 +1,9 @@
 //! Pictures of frames.
 
-use super::canvas::{Canvas, LINE};
+use super::{
+    canvas::{Canvas, LINE},
+    tools::Shape,
+};
 use eddy_frames::{
     Domain, Frame, Material,
     palette::{self, BLACK, GREY, Rgb},
@@ -54,15 +57,15 @@ impl Painter {
         Self { domain, coloring, extent, radius }
     }
 
-    /// Draws a frame with its time below it.
-    pub fn panel(&self, frame: &Frame) -> Canvas {
-        self.titled(Some(frame), &format!("t = {:.3} s", frame.stamp.seconds()))
+    /// Draws a frame and shapes over it, with its time below it.
+    pub fn panel(&self, frame: &Frame, shapes: &[Shape]) -> Canvas {
+        self.titled(Some(frame), shapes, &format!("t = {:.3} s", frame.stamp.seconds()))
     }
 
-    /// Draws a frame with its title and time below it. A missing frame leaves its domain empty, and says so.
-    pub fn named_panel(&self, title: &str, frame: Option<&Frame>) -> Canvas {
+    /// Draws a frame and shapes over it, with its title and time below it. A missing frame leaves its domain empty, and says so.
+    pub fn named_panel(&self, title: &str, frame: Option<&Frame>, shapes: &[Shape]) -> Canvas {
         let time = frame.map(|frame| format!("t = {:.3} s", frame.stamp.seconds()));
-        self.titled(frame, &format!("{title}  {}", time.as_deref().unwrap_or("no frame")))
+        self.titled(frame, shapes, &format!("{title}  {}", time.as_deref().unwrap_or("no frame")))
     }
 
     /// Panels side by side.
@@ -71,26 +74,45 @@ impl Painter {
     }
 
     /// Draws a frame with a line of text below it.
-    fn titled(&self, frame: Option<&Frame>, title: &str) -> Canvas {
+    fn titled(&self, frame: Option<&Frame>, shapes: &[Shape], title: &str) -> Canvas {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width + 2 * MARGIN, height + 2 * MARGIN + LINE);
         canvas.outline(MARGIN - 1, MARGIN - 1, width + 2, height + 2, GREY);
         if let Some(frame) = frame {
-            canvas.paste(&self.particles(frame), MARGIN, MARGIN);
+            canvas.paste(&self.particles(frame, shapes), MARGIN, MARGIN);
         }
         canvas.text(title, MARGIN, MARGIN + height + 6, BLACK);
         canvas
     }
 
-    /// Draws the particles of a frame only.
-    pub fn particles(&self, frame: &Frame) -> Canvas {
+    /// Draws the particles of a frame, and shapes over them, only.
+    pub fn particles(&self, frame: &Frame, shapes: &[Shape]) -> Canvas {
         let [width, height] = self.extent;
         let mut canvas = Canvas::new(width, height);
         for particle in 0..frame.len() {
             let place = self.place(frame.position[particle]);
             canvas.disc(place, self.radius, self.color(frame, particle));
         }
+        shapes.iter().for_each(|shape| self.shape(&mut canvas, shape));
         canvas
+    }
+
+    /// Fills a shape.
+    fn shape(&self, canvas: &mut Canvas, Shape { part, color }: &Shape) {
+        let Domain { lower, upper } = self.domain;
+        let [width, height] = self.extent;
+        // One for both axes, but for rounding.
+        let pixel = (upper[0] - lower[0]) / width as f32;
+        for row in 0..height {
+            for column in 0..width {
+                let x = lower[0] + (column as f32 + 0.5) * pixel;
+                let y = upper[1] - (row as f32 + 0.5) * pixel;
+                let cover = (0.5 - part.distance([x, y]) / pixel).clamp(0.0, 1.0);
+                if cover > 0.0 {
+                    canvas.blend([column as i32, row as i32], *color, cover);
+                }
+            }
+        }
     }
 
     /// The legend of the colours.
@@ -188,7 +210,10 @@ fn of_speeds(top: f32) -> Canvas {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_frames::Stamp;
+    use eddy_frames::{
+        Stamp,
+        tool::{Outline, Pose},
+    };
 
     fn frame(domain: Domain, position: [f32; 2]) -> Frame {
         Frame {
@@ -213,7 +238,7 @@ mod tests {
     fn a_particle_is_drawn_at_its_position_in_a_domain_of_any_shape() {
         let domain = Domain { lower: [-1.0, 2.0], upper: [3.0, 4.0] };
         let painter = Painter::new(domain, 1, 200, Coloring::Material(vec![Material::Rope]));
-        let panel = painter.panel(&frame(domain, [2.0, 3.5]));
+        let panel = painter.panel(&frame(domain, [2.0, 3.5]), &[]);
         assert_eq!(panel.width(), 200 + 2 * MARGIN);
         assert_eq!(panel.height(), 100 + 2 * MARGIN + LINE);
         let [x, y] = find(&panel, palette::of_material(Material::Rope)).unwrap();
@@ -222,14 +247,27 @@ mod tests {
     }
 
     #[test]
+    fn a_shape_covers_its_area_over_the_particles() {
+        let domain = Domain { lower: [-1.0, 2.0], upper: [3.0, 4.0] };
+        let painter = Painter::new(domain, 1, 200, Coloring::Material(vec![Material::Rope]));
+        let pose = Pose { position: [2.0, 3.5], angle: 0.25 };
+        let part = Outline::Rectangle { size: [0.4, 0.2] }.posed(pose).remove(0);
+        let canvas =
+            painter.particles(&frame(domain, [2.0, 3.5]), &[Shape { part, color: [0; 3] }]);
+        assert_eq!(canvas.pixels()[25 * 200 + 150], [0; 3], "over the particle");
+        let ink: f32 = canvas.pixels().iter().map(|p| 1.0 - f32::from(p[0]) / 255.0).sum();
+        assert!((ink - 200.0).abs() < 2.0, "{ink} of 20 x 10 pixels");
+    }
+
+    #[test]
     fn frames_are_drawn_side_by_side_and_a_missing_one_leaves_its_domain_empty() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
         let [there, missing]: [Option<Frame>; 2] = [Some(frame(Domain::UNIT, [0.5, 0.5])), None];
         let both = painter.beside(&[
-            painter.named_panel("/a", missing.as_ref()),
-            painter.named_panel("/b", there.as_ref()),
+            painter.named_panel("/a", missing.as_ref(), &[]),
+            painter.named_panel("/b", there.as_ref(), &[]),
         ]);
-        let panel = painter.panel(there.as_ref().unwrap());
+        let panel = painter.panel(there.as_ref().unwrap(), &[]);
         assert_eq!((both.width(), both.height()), (2 * panel.width(), panel.height()));
         let color = palette::of_share(1.0);
         let [alone, beside] = [&panel, &both].map(|canvas| find(canvas, color).unwrap());
@@ -239,7 +277,7 @@ mod tests {
     #[test]
     fn a_strip_has_a_row_for_each_list_of_panels() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
-        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]));
+        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]), &[]);
         let one = painter.strip(&[vec![panel.clone(); 3]]);
         let two = painter.strip(&[vec![panel.clone(); 3], vec![panel.clone(); 3]]);
         assert_eq!((one.width(), two.width()), (3 * panel.width(), 3 * panel.width()));
@@ -249,11 +287,12 @@ mod tests {
     #[test]
     fn a_particle_at_maximum_speed_has_the_lightest_colour() {
         let painter = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(2.0));
-        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]));
+        let panel = painter.panel(&frame(Domain::UNIT, [0.5, 0.5]), &[]);
         assert!(find(&panel, palette::of_share(1.0)).is_some());
         let still = Painter::new(Domain::UNIT, 1, 100, Coloring::Speed(0.0));
         assert!(
-            find(&still.panel(&frame(Domain::UNIT, [0.5, 0.5])), palette::of_share(1.0)).is_some()
+            find(&still.panel(&frame(Domain::UNIT, [0.5, 0.5]), &[]), palette::of_share(1.0))
+                .is_some()
         );
     }
 }

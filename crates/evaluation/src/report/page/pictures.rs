@@ -35,7 +35,7 @@ fn grid(names: &[String], snapshot: &Snapshot) -> io::Result<PictureGrid> {
     let row = |name: &str, frames: &[Frame]| -> io::Result<(String, Vec<Picture>)> {
         let picture = |(frame, ahead): (&Frame, &usize)| {
             let Some(painter) = &painter else { return Err(io::Error::other("no frame")) };
-            let canvas = painter.particles(frame);
+            let canvas = painter.particles(frame, &[]);
             let size = [canvas.width(), canvas.height()];
             let words = format!("{scene}: {name}, {ahead} frames ahead");
             Ok(Picture { png: png_bytes(&canvas)?, size, words })
