@@ -13,10 +13,12 @@ use crate::cli::{Color, RenderArgs};
 use eddy_bag::{BagReader, RecordedTools};
 use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
-use eddy_frames::{Frame, Material};
+use eddy_frames::{
+    Frame, Material,
+    tool::{ForceScale, Shape, shapes},
+};
 use eddy_pages::picture::{
-    Animation, Canvas, Coloring, ForceScale, Kind, Painter, Shape, animation_timing, evenly_spaced,
-    shapes, write_png,
+    Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
 };
 use eddy_settings::{atomic::Staged, usage::Usage};
 

@@ -1,9 +1,10 @@
 //! Tools: rigid bodies with prescribed motion, such as a cup or a blade, in the plane.
 //!
 //! [`Tools`] says what the tools of a stream are, once; [`ToolFrame`] where they are, beside each frame of particles with the same sequence
-//! number. [`outline`](Outline) has their geometry.
+//! number. [`outline`](Outline) has their geometry, [`shapes`] draws them.
 
 mod outline;
+mod shapes;
 
 use std::collections::BTreeSet;
 
@@ -11,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Stamp;
 pub use outline::{Edge, Outline, Part};
+pub use shapes::{ForceScale, Shape, shapes};
 
 /// Maximum number of tools of a stream.
 pub const MAX_TOOLS: usize = 8;

@@ -1,13 +1,19 @@
 //! The live page of a bag that is played: its frames, and the predictions recorded with them.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{collections::BTreeMap, fmt::Display, sync::Arc};
 
-use super::{ControlPanel, LivePage, PageInfo, PredictionInfo, StatusJoiner, ViewerError};
+use super::{ControlPanel, Hub, LivePage, PageInfo, PredictionInfo, StatusJoiner, ViewerError};
 use crate::player::{PendingCommand, PlayerHandle};
 use eddy_bag::{BagMessage, BagReader};
-use eddy_frames::{Frame, FrameView};
+use eddy_frames::{
+    Frame, FrameView,
+    tool::{self, Tools},
+};
 use eddy_inference::checkpoint::Description;
-use eddy_messages::{FrameCdr, Message, ParticleFrame, PredictionStatus, cdr};
+use eddy_messages::{
+    BadTool, FrameCdr, Message, ParticleFrame, PredictionStatus, ToolDescription, ToolFrame, cdr,
+    tool_topics,
+};
 use eddy_transport::ListenAddress;
 
 /// Topics of predictions end in this.
@@ -55,8 +61,12 @@ impl BagView {
         &self.page
     }
 
-    /// Shows a message if it is a frame, or the status of a prediction.
+    /// Shows a message if it is a frame, the status of a prediction, or of tools.
     pub fn show(&mut self, message: &BagMessage) {
+        if [ToolDescription::TYPE, ToolFrame::TYPE].contains(&&*message.type_name) {
+            // Kept for browsers that come later.
+            return self.show_tools(message);
+        }
         if !self.page.hub().is_watched() {
             self.joiners.values_mut().for_each(StatusJoiner::clear);
             return;
@@ -65,13 +75,7 @@ impl BagView {
         if kind == ParticleFrame::TYPE {
             let frame = match Frame::from_cdr(&message.data) {
                 Ok(frame) => frame,
-                Err(reason) => {
-                    if !std::mem::replace(&mut self.has_warned, true) {
-                        let number = message.sequence;
-                        tracing::warn!("topic {topic}: message {number} is not shown: {reason}");
-                    }
-                    return;
-                }
+                Err(reason) => return self.warn(message, &reason),
             };
             if topic.ends_with(PREDICTION) {
                 match self.joiners.get_mut(&format!("{topic}/status")) {
@@ -91,6 +95,31 @@ impl BagView {
         }
     }
 
+    /// Shows a message of tools that belong to the truth, if it is valid.
+    fn show_tools(&mut self, message: &BagMessage) {
+        let Some(truth) = self.truth.as_deref() else { return };
+        let (hub, [poses, description]) = (self.page.hub(), tool_topics(truth));
+        let data = &message.data;
+        let shown = match &*message.topic {
+            topic if topic == description => read_description(data).map(|it| hub.describes(it)),
+            topic if topic == poses => read_frame(data, hub).map(|frame| {
+                frame.into_iter().for_each(|frame| hub.moved(frame));
+            }),
+            _ => Ok(()),
+        };
+        if let Err(reason) = shown {
+            self.warn(message, &reason);
+        }
+    }
+
+    /// Logs the first message that is not shown.
+    fn warn(&mut self, message: &BagMessage, reason: &dyn Display) {
+        if !std::mem::replace(&mut self.has_warned, true) {
+            let (topic, number) = (&message.topic, message.sequence);
+            tracing::warn!("topic {topic}: message {number} is not shown: {reason}");
+        }
+    }
+
     fn show_prediction(&self, joined: Option<(Frame, PredictionInfo)>) {
         if let Some((frame, info)) = joined {
             self.page.hub().predicted(&frame, info);
@@ -101,6 +130,16 @@ impl BagView {
     pub fn commands(&self) -> impl Iterator<Item = PendingCommand> {
         std::iter::from_fn(|| self.player.next())
     }
+}
+
+fn read_description(data: &[u8]) -> Result<Tools, BadTool> {
+    Ok(cdr::decode::<ToolDescription>(data)?.checked()?)
+}
+
+/// The poses of tools that the page knows.
+fn read_frame(data: &[u8], hub: &Hub) -> Result<Option<tool::ToolFrame>, BadTool> {
+    let frame = cdr::decode::<ToolFrame>(data)?;
+    Ok(hub.tools(frame.stream).map(|tools| frame.checked(&tools)).transpose()?)
 }
 
 impl Drop for BagView {

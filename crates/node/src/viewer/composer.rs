@@ -62,7 +62,7 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
         let copy = hub.next(MAX_WAIT);
         for (&stream, view) in &mut views {
             if let Some(displayed) = view.overdue(clock.now()) {
-                view.show(hub, stream, &displayed);
+                view.show(hub, stream, displayed);
             }
         }
         let Some(copy) = copy else { continue };
@@ -87,7 +87,7 @@ pub(super) fn compose(hub: &Hub, comparison: &Comparison, stop: &AtomicBool) {
             FrameCopy::Prediction(frame, info) => view.prediction(Arc::new(frame), info),
         };
         if let Some(displayed) = displayed {
-            view.show(hub, stream, &displayed);
+            view.show(hub, stream, displayed);
         }
         if now.saturating_sub(view.curves_updated) > CURVES_INTERVAL {
             view.curves_updated = now;
@@ -113,10 +113,15 @@ impl StreamView {
         }
     }
 
-    fn show(&mut self, hub: &Hub, stream: u64, displayed: &DisplayedFrame) {
+    fn show(&mut self, hub: &Hub, stream: u64, mut displayed: DisplayedFrame) {
         self.held = None;
-        let top_speed = self.top_speed(displayed);
-        hub.show(stream, &Bytes::from(wire::encode(displayed, top_speed)));
+        let top_speed = self.top_speed(&displayed);
+        let prediction = displayed.prediction.as_ref().map(|(frame, _)| frame);
+        if let Some(frame) = displayed.truth.as_ref().or(prediction) {
+            let height = frame.domain.upper[1] - frame.domain.lower[1];
+            displayed.shapes = hub.shapes(stream, frame.sequence, height);
+        }
+        hub.show(stream, &Bytes::from(wire::encode(&displayed, top_speed)));
     }
 
     /// Displays the newest observed frame alone if nothing was displayed for [`MAX_HOLD`] since it came.
@@ -189,7 +194,8 @@ impl StreamView {
 
 fn displayed(Pair { truth, predicted, info, error, baseline }: Pair) -> DisplayedFrame {
     let errors = [Some(error), baseline.map(|(_, error)| error)];
-    DisplayedFrame { truth: Some(truth), prediction: Some((predicted, info)), errors }
+    let prediction = Some((predicted, info));
+    DisplayedFrame { truth: Some(truth), prediction, errors, shapes: Vec::new() }
 }
 
 #[cfg(test)]
@@ -271,7 +277,7 @@ mod tests {
         assert_eq!(sides(view.overdue(came + MAX_HOLD)), None);
         let late = view.overdue(came + 2 * MAX_HOLD);
         assert_eq!(sides(late.clone()), Some([Some(9), None]));
-        view.show(&hub, 1, &late.unwrap());
+        view.show(&hub, 1, late.unwrap());
         assert_eq!(sides(view.overdue(came + 9 * MAX_HOLD)), None, "displayed once");
     }
 

@@ -1,7 +1,7 @@
 //! Copies of frames for the page while a browser is connected.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, VecDeque},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicU64, AtomicUsize, Ordering},
@@ -13,13 +13,21 @@ use axum::body::Bytes;
 
 use super::{comparison::PredictionInfo, curves::Curves, mailbox::Mailbox};
 use crate::GroupCounts;
-use eddy_frames::{Frame, FrameView, clock::Clock};
+use eddy_frames::{
+    Frame, FrameView,
+    clock::Clock,
+    tool::{ForceScale, Shape, ToolFrame, Tools, shapes},
+};
 use eddy_transport::Queue;
 
 /// Frames waiting for the composer, truth and predictions together.
 const QUEUE_FRAMES: usize = 8;
 /// Maximum number of listed streams.
 const MAX_STREAMS: usize = 256;
+/// Frames of tools that are kept of a stream: a frame may be displayed some time after it was observed.
+const TOOL_FRAMES: usize = 64;
+/// Length of the arrow of the strongest force on a tool (share of the domain's height).
+const LONGEST_ARROW: f32 = 0.2;
 /// Silence after which another stream becomes the current one.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Silence, while other streams continue, after which a stream is no longer listed or selected.
@@ -80,6 +88,18 @@ struct HubState {
     curves: BTreeMap<u64, Arc<Curves>>,
     /// Names of streams, if they have some.
     names: BTreeMap<u64, String>,
+    /// Tools of streams, if they have some.
+    tools: BTreeMap<u64, StreamTools>,
+}
+
+/// The tools of a stream.
+#[derive(Debug)]
+struct StreamTools {
+    tools: Tools,
+    /// Where they are at its last frames.
+    frames: VecDeque<ToolFrame>,
+    /// The strongest force so far, by which arrows are drawn.
+    strongest: f64,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -160,6 +180,51 @@ impl Hub {
         let HubState { names, streams, .. } = &mut *state;
         names.retain(|stream, _| streams.get(stream).is_none_or(|seen| !seen.ended));
         names.insert(stream, name);
+    }
+
+    /// Says what the tools of a stream are. Those of streams that are no longer listed are forgotten.
+    pub fn describes(&self, tools: Tools) {
+        let mut state = self.lock();
+        if state.tools.len() >= MAX_STREAMS {
+            let HubState { tools, streams, .. } = &mut *state;
+            tools.retain(|stream, _| streams.contains_key(stream));
+        }
+        let known = state.tools.get(&tools.stream).is_some_and(|known| known.tools == tools);
+        if !known && state.tools.len() < MAX_STREAMS {
+            let begun = StreamTools { frames: VecDeque::new(), strongest: 0.0, tools };
+            state.tools.insert(begun.tools.stream, begun);
+        }
+    }
+
+    /// The tools of a stream, if it has some.
+    pub fn tools(&self, stream: u64) -> Option<Tools> {
+        self.lock().tools.get(&stream).map(|known| known.tools.clone())
+    }
+
+    /// Says where the tools of a stream are at a frame.
+    pub fn moved(&self, frame: ToolFrame) {
+        let mut state = self.lock();
+        let Some(known) = state.tools.get_mut(&frame.stream) else { return };
+        known.strongest = ForceScale::of([&frame], 0.0).strongest.max(known.strongest);
+        // A stream that begins again.
+        while known.frames.back().is_some_and(|last| last.sequence >= frame.sequence) {
+            known.frames.pop_back();
+        }
+        if known.frames.len() == TOOL_FRAMES {
+            known.frames.pop_front();
+        }
+        known.frames.push_back(frame);
+    }
+
+    /// The tools of a stream at a frame, or at the last one before it that is known, as shapes in a domain of this height.
+    pub(super) fn shapes(&self, stream: u64, sequence: u64, height: f32) -> Vec<Shape> {
+        let state = self.lock();
+        let Some(StreamTools { tools, frames, strongest }) = state.tools.get(&stream) else {
+            return Vec::new();
+        };
+        let frame = frames.iter().rev().find(|frame| frame.sequence <= sequence);
+        let scale = ForceScale { strongest: *strongest, length: LONGEST_ARROW * height };
+        frame.map_or_else(Vec::new, |frame| shapes(tools, frame, scale))
     }
 
     /// The name of a stream.
@@ -279,7 +344,10 @@ impl Hub {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_frames::{Domain, Material, Stamp};
+    use eddy_frames::{
+        Domain, Material, Stamp,
+        tool::{Contact, Outline, Part, Pose, Tool, ToolState},
+    };
 
     fn frame(stream: u64) -> Frame {
         Frame {
@@ -306,6 +374,37 @@ mod tests {
         hub.observed(&(&frame(1)).into());
         assert!(hub.next(Duration::ZERO).is_none());
         assert_eq!(hub.counts(), (0, [3, 0, 0]));
+    }
+
+    #[test]
+    fn the_tools_of_a_frame_are_those_of_its_number_or_the_last_before() {
+        let hub = Hub::default();
+        let disc = Outline::Disc { radius: 0.1 };
+        let disc = Tool { name: "disc".into(), shape: disc, contact: Contact::Slip };
+        hub.moved(at(0, 0.5));
+        assert_eq!(hub.shapes(3, 0, 1.0), [], "nobody has said what moves");
+        hub.describes(Tools { stream: 3, tools: vec![disc] });
+        for (sequence, x) in [(0, 0.1), (1, 0.2), (5, 0.3)] {
+            hub.moved(at(sequence, x));
+        }
+        let seen = |stream, sequence| -> Vec<f32> {
+            let shapes = hub.shapes(stream, sequence, 1.0);
+            let centre = |shape: &Shape| match shape.part {
+                Part::Disc { centre, .. } => centre[0],
+                Part::Convex { .. } => f32::NAN,
+            };
+            shapes.iter().map(centre).collect()
+        };
+        assert_eq!([seen(3, 0), seen(3, 4), seen(3, 9)], [vec![0.1], vec![0.2], vec![0.3]]);
+        assert!(seen(4, 0).is_empty());
+        hub.moved(at(1, 0.4));
+        assert_eq!(seen(3, 9), [0.4], "the stream has begun again");
+    }
+
+    fn at(sequence: u64, x: f32) -> ToolFrame {
+        let pose = Pose { position: [x, 0.5], angle: 0.0 };
+        let states = vec![ToolState { pose, velocity: [0.0; 2], spin: 0.0 }];
+        ToolFrame { stream: 3, sequence, stamp: Stamp(0), states, wrenches: Vec::new() }
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! A displayed frame as bytes, little-endian: a header of [`HEADER`] bytes, then 12 bytes per particle, property by property.
+//! A displayed frame as bytes, little-endian: a header of [`HEADER`] bytes, then 12 bytes per particle, property by property,
+//! and 24 bytes per triangle.
 //!
 //! | offset | type | content |
 //! |---|---|---|
@@ -12,10 +13,12 @@
 //! | 56 | f32 ×4 | lower and upper corner of the domain (domain lengths) |
 //! | 72 | f32 | speed that 255 stands for (domain lengths per second) |
 //! | 76 | f32 ×2 | error of the prediction and of the best baseline (RMSE, domain lengths; NaN if unknown) |
-//! | 84 | u32 ×3 | zero |
+//! | 84 | u32 ×2 | number of triangles T of tools, F of forces on them |
+//! | 92 | u32 | zero |
 //! | 96 | u16 `[N, 2]` | positions of the truth, 0 to 65535 across the domain |
 //! | | u16 `[N, 2]` | positions of the prediction |
 //! | | u8 `[N]` ×4 | speed of the truth, speed of the prediction, error, material |
+//! | | f32 `[T + F, 3, 2]` | corners of the triangles, 0 to 1 across the domain |
 //!
 //! Positions are for display only: rounded to 1/65535 of the domain and clamped to it. The error of a particle is on a
 //! logarithmic scale from 0 for [`SMALLEST_ERROR`] to 255 for [`LARGEST_ERROR`] (domain lengths). The speed of a particle is
@@ -25,12 +28,12 @@
 use std::sync::Arc;
 
 use super::comparison::PredictionInfo;
-use eddy_frames::{Domain, Frame};
+use eddy_frames::{Domain, Frame, palette, tool::Shape};
 
 /// Bytes before the particles.
 pub const HEADER: usize = 96;
 /// Version of this layout.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Bytes per particle, both sides together.
 const PARTICLE: usize = 12;
 /// The error of a particle that 0 stands for (domain lengths).
@@ -52,6 +55,8 @@ pub struct DisplayedFrame {
     pub prediction: Option<(Arc<Frame>, PredictionInfo)>,
     /// RMSE of the prediction and of the best baseline (domain lengths).
     pub errors: [Option<f64>; 2],
+    /// The tools of that instant, and the forces on them.
+    pub shapes: Vec<Shape>,
 }
 
 impl DisplayedFrame {
@@ -77,13 +82,8 @@ pub fn encode(displayed: &DisplayedFrame, top_speed: f32) -> Vec<u8> {
 
     let mut bytes = Vec::with_capacity(HEADER + PARTICLE * particles);
     bytes.extend_from_slice(&[b'E', b'D', b'Y', VERSION]);
-    let flags = [
-        (truth.is_some(), TRUTH),
-        (prediction.is_some(), PREDICTION),
-        (pair, SAME_INSTANT),
-        (info.is_some_and(|info| info.free_running), FREE_RUN),
-    ];
-    let flags = flags.iter().filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag);
+    let free_running = info.is_some_and(|info| info.free_running);
+    let flags = flags([truth.is_some(), prediction.is_some(), pair, free_running]);
     let horizon = info.map_or(0, |info| info.horizon);
     for number in [flags, particles as u32, horizon] {
         bytes.extend_from_slice(&number.to_le_bytes());
@@ -101,6 +101,13 @@ pub fn encode(displayed: &DisplayedFrame, top_speed: f32) -> Vec<u8> {
     for number in [lower[0], lower[1], upper[0], upper[1], top_speed, errors[0], errors[1]] {
         bytes.extend_from_slice(&number.to_le_bytes());
     }
+    let triangles = [palette::TOOL, palette::FORCE].map(|color| {
+        let shapes = displayed.shapes.iter().filter(|shape| shape.color == color);
+        shapes.flat_map(|shape| shape.triangles(any.domain)).collect::<Vec<_>>()
+    });
+    for corners in &triangles {
+        bytes.extend_from_slice(&(corners.len() as u32 / 3).to_le_bytes());
+    }
     bytes.resize(HEADER, 0);
 
     for side in [truth, prediction] {
@@ -117,7 +124,16 @@ pub fn encode(displayed: &DisplayedFrame, top_speed: f32) -> Vec<u8> {
         _ => bytes.resize(bytes.len() + particles, 0),
     }
     bytes.extend(any.material.iter().map(|&material| material as u8));
+    for number in triangles.iter().flatten().flatten() {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
     bytes
+}
+
+/// The flags of the header: whether there is a truth, a prediction, both of one instant, and a free run.
+fn flags(set: [bool; 4]) -> u32 {
+    let flags = [TRUTH, PREDICTION, SAME_INSTANT, FREE_RUN];
+    set.into_iter().zip(flags).filter(|(set, _)| *set).fold(0, |all, (_, flag)| all | flag)
 }
 
 fn positions(bytes: &mut Vec<u8>, side: Option<&Frame>, any: &Frame) {
@@ -156,7 +172,10 @@ fn error_level(error: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_frames::{Material, Stamp};
+    use eddy_frames::{
+        Material, Stamp,
+        tool::{Outline, Pose},
+    };
 
     fn frame(sequence: u64, position: [[f32; 2]; 2]) -> Arc<Frame> {
         Arc::new(Frame {
@@ -173,6 +192,9 @@ mod tests {
 
     #[test]
     fn every_field_is_at_the_offset_in_the_table() {
+        let corners = vec![vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]]];
+        let wedge =
+            Outline::Polygons { corners }.posed(Pose { position: [0.0; 2], angle: 0.0 }).remove(0);
         let displayed = DisplayedFrame {
             truth: Some(frame(7, [[0.0, 0.0], [1.0, 0.5]])),
             prediction: Some((
@@ -180,10 +202,11 @@ mod tests {
                 PredictionInfo { source: 5, horizon: 2, free_running: true },
             )),
             errors: [Some(0.25), None],
+            shapes: vec![Shape { part: wedge, color: palette::FORCE }],
         };
         let bytes = encode(&displayed, 5.0);
-        assert_eq!(bytes.len(), HEADER + 2 * PARTICLE);
-        assert_eq!(&bytes[..4], b"EDY\x02");
+        assert_eq!(bytes.len(), HEADER + 2 * PARTICLE + 3 * 8);
+        assert_eq!(&bytes[..4], b"EDY\x03");
         let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
         let f64_at = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
@@ -197,7 +220,10 @@ mod tests {
         assert_eq!([96, 98, 100, 102].map(u16_at), [0, 0, 32768, 32768]);
         assert_eq!([104, 106, 108, 110].map(u16_at), [0, 6554, 32768, 32768]);
         // The square root of 1 / 5 is 0.447.
-        assert_eq!(bytes[112..], [114, 255, 114, 255, 255, 0, 0, 3]);
+        assert_eq!(bytes[112..120], [114, 255, 114, 255, 255, 0, 0, 3]);
+        assert_eq!([u32_at(84), u32_at(88)], [0, 1]);
+        let corners: Vec<f32> = (0..6).map(|k| f32_at(120 + 4 * k)).collect();
+        assert_eq!(corners, [0.0, 0.0, 0.5, 0.0, 0.0, 0.5]);
     }
 
     #[test]

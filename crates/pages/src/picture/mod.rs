@@ -2,7 +2,7 @@
 //!
 //! 1. `palette`: colours of materials and of speeds.
 //! 2. `canvas`: raster images: antialiased discs, rectangles, text.
-//! 3. `panel`: a frame with its time and a legend. `tools`: tools and the forces on them, as shapes over it.
+//! 3. `panel`: a frame with its time and a legend. Shapes such as tools are drawn over it.
 //! 4. `backend`: plots of pages on a canvas.
 //! 5. `file`: PNG files and animations. `video`: MP4, written by ffmpeg.
 //! 6. `quantize`: the 256 colours of a GIF.
@@ -14,7 +14,6 @@ mod file;
 mod panel;
 mod quantize;
 mod sampling;
-mod tools;
 mod video;
 
 pub(crate) use backend::CanvasBackend;
@@ -22,4 +21,3 @@ pub use canvas::Canvas;
 pub use file::{Animation, Kind, PictureError, png_bytes, write_png};
 pub use panel::{Coloring, Painter};
 pub use sampling::{animation_timing, evenly_spaced};
-pub use tools::{ForceScale, Shape, shapes};

@@ -1,12 +1,10 @@
 //! Pictures of frames.
 
-use super::{
-    canvas::{Canvas, LINE},
-    tools::Shape,
-};
+use super::canvas::{Canvas, LINE};
 use eddy_frames::{
     Domain, Frame, Material,
     palette::{self, BLACK, GREY, Rgb},
+    tool::Shape,
 };
 
 /// Margin around the domain (pixels).

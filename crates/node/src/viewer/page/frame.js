@@ -1,6 +1,6 @@
 // A displayed frame as bytes; the layout is described in `viewer::wire`.
 
-const VERSION = 2;
+const VERSION = 3;
 const HEADER = 96;
 
 /** Decodes an ArrayBuffer; null if it is not a frame. Offsets are in bytes, for WebGL. */
@@ -10,7 +10,8 @@ export function read(buffer) {
     || view.getUint8(2) !== 0x59 || view.getUint8(3) !== VERSION) return null;
   const flags = view.getUint32(4, true);
   const particles = view.getUint32(8, true);
-  if (buffer.byteLength < HEADER + 12 * particles) return null;
+  const [tools, forces] = [84, 88].map((at) => 3 * view.getUint32(at, true));
+  if (buffer.byteLength < HEADER + 12 * particles + 8 * (tools + forces)) return null;
   const f32 = (at) => view.getFloat32(at, true);
   const side = (number) => ({
     present: (flags & (1 << number)) !== 0,
@@ -35,6 +36,8 @@ export function read(buffer) {
     prediction: side(1),
     errors: HEADER + 10 * particles,
     materials: HEADER + 11 * particles,
+    // Offset of their corners, and how many there are.
+    shapes: { at: HEADER + 12 * particles, tools, forces },
   };
 }
 

@@ -44,6 +44,9 @@ void main() {
 }`;
 
 const COLOURINGS = ["material", "speed", "error", "plain"];
+// Of tools and of forces on them, as in `palette`.
+const TOOL = [95, 100, 110];
+const FORCE = [190, 30, 45];
 // Share of the domain that particles at rest cover, approximately.
 const COVERAGE = 0.22;
 // Largest particle (pixels), without and with zoom.
@@ -166,6 +169,25 @@ export class Painter {
         gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_BYTE, 1, frame.materials);
         gl.drawArrays(gl.POINTS, 0, frame.particles);
       }
+      this.drawShapes(frame.shapes);
+      gl.uniform3fv(uniform.plain, plain);
     }
+  }
+
+  /** Draws tools and the forces on them as triangles. */
+  drawShapes({ at, tools, forces }) {
+    const { gl, uniform } = this;
+    if (!tools) return;
+    for (const place of [1, 2, 3]) gl.disableVertexAttribArray(place);
+    gl.vertexAttribI4ui(3, 0, 0, 0, 0);
+    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 8, at);
+    gl.uniform1f(uniform.size, 1);
+    gl.uniform1f(uniform.strength, 1);
+    gl.uniform1i(uniform.colouring, COLOURINGS.indexOf("plain"));
+    for (const [colour, first, count] of [[TOOL, 0, tools], [FORCE, tools, forces]]) {
+      gl.uniform3fv(uniform.plain, colour.map((part) => part / 255));
+      gl.drawArrays(gl.TRIANGLES, first, count);
+    }
+    for (const place of [1, 2, 3]) gl.enableVertexAttribArray(place);
   }
 }

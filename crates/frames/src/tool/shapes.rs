@@ -1,9 +1,13 @@
-//! Tools as shapes of a picture.
+//! Tools and the forces on them as shapes of a picture.
 
-use eddy_frames::{
+use super::{Outline, Part, Pose, ToolFrame, Tools, Wrench};
+use crate::{
+    Domain,
     palette::{FORCE, Rgb, TOOL},
-    tool::{Outline, Part, Pose, ToolFrame, Tools, Wrench},
 };
+
+/// Corners of a disc that is drawn as triangles.
+const DISC_CORNERS: usize = 40;
 
 /// Width of an arrow's shaft, width and length of its head (share of the arrow's greatest length).
 const ARROW: [f32; 3] = [0.06, 0.22, 0.26];
@@ -15,6 +19,34 @@ pub struct Shape {
     pub part: Part,
     /// Its colour.
     pub color: Rgb,
+}
+
+impl Shape {
+    /// Triangles that cover it where it may be seen in a domain, three corners each, as shares of the domain's width and height.
+    pub fn triangles(&self, Domain { lower, upper }: Domain) -> Vec<[f32; 2]> {
+        let corners = match &self.part {
+            Part::Disc { centre: [x, y], radius } => (0..DISC_CORNERS)
+                .map(|k| {
+                    let angle = k as f32 * (2.0 * std::f32::consts::PI / DISC_CORNERS as f32);
+                    [x + radius * angle.cos(), y + radius * angle.sin()]
+                })
+                .collect(),
+            Part::Convex { edges, corners } if corners.is_empty() => {
+                let far = 2.0 * (upper[0] - lower[0]).hypot(upper[1] - lower[1]);
+                let ([u, v], middle) =
+                    (edges[0].normal, [0, 1].map(|k| 0.5 * (lower[k] + upper[k])));
+                let height = edges[0].distance(middle);
+                let [x, y] = [middle[0] - height * u, middle[1] - height * v];
+                [(far, 0.0), (-far, 0.0), (-far, -far), (far, -far)]
+                    .map(|(along, out)| [x + along * v + out * u, y - along * u + out * v])
+                    .to_vec()
+            }
+            Part::Convex { corners, .. } => corners.clone(),
+        };
+        let share = |point: [f32; 2]| [0, 1].map(|k| (point[k] - lower[k]) / (upper[k] - lower[k]));
+        let fan = corners.windows(2).skip(1);
+        fan.flat_map(|pair| [corners[0], pair[0], pair[1]]).map(share).collect()
+    }
 }
 
 /// The scale of arrows.
@@ -70,10 +102,45 @@ fn arrow(from: [f32; 2], wrench: &Wrench, scale: ForceScale) -> Vec<Part> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eddy_frames::{
+    use crate::{
         Stamp,
         tool::{Contact, Tool, ToolState},
     };
+
+    #[test]
+    fn triangles_cover_their_shape() {
+        let domain = Domain { lower: [-1.0, 0.0], upper: [3.0, 2.0] };
+        let pose = Pose { position: [0.5, 0.75], angle: 0.4 };
+        let square = vec![[0.0, 0.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]];
+        for outline in [
+            Outline::HalfPlane,
+            Outline::Disc { radius: 0.3 },
+            Outline::Rectangle { size: [0.8, 0.3] },
+            Outline::Polygons { corners: vec![square] },
+        ] {
+            let shape = Shape { part: outline.posed(pose).remove(0), color: TOOL };
+            let triangles = shape.triangles(domain);
+            for x in 0..40 {
+                for y in 0..40 {
+                    let share = [x, y].map(|k| (k as f32 + 0.5) / 40.0);
+                    let point = [4.0 * share[0] - 1.0, 2.0 * share[1]];
+                    let distance = shape.part.distance(point);
+                    let cross = |a: [f32; 2], b: [f32; 2]| {
+                        (b[0] - a[0]) * (share[1] - a[1]) - (b[1] - a[1]) * (share[0] - a[0])
+                    };
+                    let covers = |t: &[[f32; 2]; 3]| {
+                        let sides = [cross(t[0], t[1]), cross(t[1], t[2]), cross(t[2], t[0])];
+                        sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0)
+                    };
+                    let is_covered = triangles.as_chunks().0.iter().any(covers);
+                    // A disc has corners.
+                    if distance.abs() > 2e-3 {
+                        assert_eq!(is_covered, distance < 0.0, "{outline:?} at {point:?}");
+                    }
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_tool_is_drawn_where_it_is_and_its_force_points_from_it() {
