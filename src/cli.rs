@@ -205,6 +205,16 @@ pub struct LaunchArgs {
     pub file: PathBuf,
 }
 
+/// What `eddy demo` simulates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum DemoScene {
+    /// Bodies of two materials that are thrown.
+    #[default]
+    Throw,
+    /// The same, and a blade that follows the mouse or the arrow keys on the live page.
+    Push,
+}
+
 /// `eddy demo`
 #[derive(Debug, Args)]
 pub struct DemoArgs {
@@ -214,10 +224,13 @@ pub struct DemoArgs {
     /// Port of the live page on the loopback interface; 0 takes any free port.
     #[arg(long, default_value_t = 8080, conflicts_with = "headless")]
     pub port: u16,
-    /// Stop after one scene of this duration (s, in real time) [default: scenes of up to 5 s until SIGINT or SIGTERM, of which
-    /// the first is recorded; with --headless only the first].
+    /// Stop after one scene of this duration (s, in real time) [default: scenes of up to 5 s (push: 20 s) until SIGINT or SIGTERM, of
+    /// which the first is recorded; with --headless only the first, of 5 s].
     #[arg(long, value_name = "SECONDS", value_parser = values::positive_seconds)]
     pub seconds: Option<f64>,
+    /// What is simulated.
+    #[arg(long, value_enum, default_value_t = DemoScene::Throw)]
+    pub scene: DemoScene,
     /// Seed of the scene.
     #[arg(long, default_value_t = 3)]
     pub seed: u64,

@@ -21,6 +21,7 @@ mod keyboard;
 mod search;
 mod streams;
 mod surrogate;
+mod tool_topics;
 
 pub(crate) use eddy_frames::counted;
 

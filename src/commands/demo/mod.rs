@@ -1,6 +1,7 @@
 //! `eddy demo`: simulation, surrogate, recorder, live page and report in one process.
 
 mod live;
+mod push;
 mod scenes;
 mod watch;
 
@@ -22,15 +23,17 @@ use self::{
     scenes::{Progress, Scenes, Source},
     watch::{Printer, Recorded, Watch},
 };
-use super::{announce_page, eval::print_report, node::summary, surrogate};
-use crate::cli::DemoArgs;
+use super::{announce_page, eval::print_report, node::summary, surrogate, tool_topics::ToolTopics};
+use crate::cli::{DemoArgs, DemoScene};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_cli::{Device, Interrupt, Output, OutputKind, TerminalProgress, unused};
 use eddy_dataset::LoadOptions;
 use eddy_evaluation::{Settings, evaluate_model};
 use eddy_frames::{Stamp, clock, decimal};
 use eddy_inference::checkpoint::Description;
-use eddy_messages::{self as msg, Message, ParticleFrame, PredictionStatus};
+use eddy_messages::{
+    self as msg, Message, ParticleFrame, PredictionStatus, ToolDescription, ToolFrame, tool_topics,
+};
 use eddy_mpm::Scene;
 use eddy_node::{
     FrameQueue, NodeContext, NodeHandle, NodeSettings, OpenClock, Outputs, Pacer, PlayerHandle,
@@ -47,6 +50,8 @@ const SCENE: u64 = 4;
 const DEFAULT_OUTPUT: &str = "bags/demo";
 /// Default duration of a scene (simulated s): then little happens.
 const SECONDS: f64 = 5.0;
+/// The same with a blade that is moved by hand.
+const SECONDS_OF_PUSHING: f64 = 20.0;
 /// Frames that are predicted ahead: far enough that truth and prediction can look different.
 const AHEAD: u32 = 20;
 
@@ -61,16 +66,24 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         title: format!("Predicted {AHEAD} frames ahead, beside what then happened"),
         model: Some(surrogate.digest().to_owned()),
     };
+    let endless = !args.headless && args.seconds.is_none();
+    let pushes = args.scene == DemoScene::Push;
+    let usual = if pushes && endless { SECONDS_OF_PUSHING } else { SECONDS };
     let mut scenes = Scenes {
         seed: args.seed,
-        seconds: args.seconds.unwrap_or(SECONDS),
-        endless: !args.headless && args.seconds.is_none(),
+        seconds: args.seconds.unwrap_or(usual),
+        endless,
+        blade: pushes.then(Arc::default),
     };
     let first = scenes.simulation(0)?;
     let settings = node_settings(args.headless, surrogate.description(), first.scene());
     let (handle, source) = (Arc::new(NodeHandle::default()), Arc::new(PlayerHandle::default()));
     let page = (!args.headless).then(|| {
-        let panel = ControlPanel::of_both(Arc::clone(&handle), Arc::clone(&source));
+        let (node, source) = (Arc::clone(&handle), Arc::clone(&source));
+        let panel = match &scenes.blade {
+            Some(blade) => ControlPanel::of_both_and_tool(node, source, Arc::clone(blade)),
+            None => ControlPanel::of_both(node, source),
+        };
         let address = ListenAddress::loopback(args.port);
         LivePage::serve(address, surrogate.description(), info, panel)
     });
@@ -87,7 +100,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 
     let transports = Transports::new(TransportOptions::from_env(NAME)?);
     let recorder = Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
-    let mut links = Links::open(&transports, recorder)?;
+    let mut links = Links::open(&transports, recorder, pushes)?;
     links.source.hub = page.as_ref().map(|page| Arc::clone(page.hub()));
     links.outputs.observers.extend(page.as_ref().map(LivePage::observer));
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
@@ -131,6 +144,11 @@ fn introduce(scenes: &Scenes, interval: f32) {
     println!(
         "Simulating matter, and predicting it {AHEAD} frames ({ahead:.2} s) ahead from what was observed so far."
     );
+    if scenes.blade.is_some() {
+        println!(
+            "A blade pushes it; on the live page it follows the mouse or the arrow keys. The shipped network does not\nknow tools: near the blade it predicts as if that were not there."
+        );
+    }
     if scenes.endless {
         println!(
             "Scenes follow one another until Ctrl-C; the first one is recorded and evaluated."
@@ -164,7 +182,11 @@ struct Links {
 }
 
 impl Links {
-    fn open(transports: &Transports, mut recorder: Recorder) -> anyhow::Result<Self> {
+    fn open(
+        transports: &Transports,
+        mut recorder: Recorder,
+        has_tools: bool,
+    ) -> anyhow::Result<Self> {
         let subscribe = |topic: &str, kind: &str| transports.subscriber(&Link::memory(topic), kind);
         let publish = |topic: &str, kind: &str| {
             transports.publisher(&Link::memory(topic), kind, Reliability::Block)
@@ -176,6 +198,14 @@ impl Links {
         let truth = record("/particles", ParticleFrame::TYPE)?;
         let prediction = record("/prediction", ParticleFrame::TYPE)?;
         let status = record("/prediction/status", PredictionStatus::TYPE)?;
+        let [poses, description] = tool_topics("/particles");
+        let of_tools = [(&description, ToolDescription::TYPE), (&poses, ToolFrame::TYPE)];
+        let of_tools = of_tools.into_iter().filter(|_| has_tools);
+        let recorded_tools =
+            of_tools.map(|(topic, kind)| record(topic, kind)).collect::<Result<_, _>>()?;
+        let tools = has_tools
+            .then(|| ToolTopics::open(transports, &Link::memory("/particles"), Reliability::Block))
+            .transpose()?;
         let recorder = Some(recorder);
         let progress = Progress::default();
         let mut outputs = Outputs::new(
@@ -184,7 +214,14 @@ impl Links {
         );
         outputs.observers.push(Box::new(progress.clone()));
         Ok(Self {
-            watch: Watch { recorder, recorded: None, truth, prediction, status },
+            watch: Watch {
+                recorder,
+                recorded: None,
+                truth,
+                prediction,
+                status,
+                tools: recorded_tools,
+            },
             input: subscribe("/particles", ParticleFrame::TYPE)?,
             source: Source {
                 truth: publish("/particles", ParticleFrame::TYPE)?,
@@ -195,6 +232,7 @@ impl Links {
                 published: 0,
                 hub: None,
                 named: None,
+                tools,
             },
             outputs,
         })

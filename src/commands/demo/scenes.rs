@@ -9,11 +9,15 @@ use std::{
     time::Duration,
 };
 
-use super::SCENE;
+use super::{SCENE, push};
+use crate::commands::tool_topics::ToolTopics;
 use eddy_frames::{Frame, FrameView, Material, Stamp};
 use eddy_messages::{self as msg, cdr};
 use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
-use eddy_node::{NodeReport, Observer, Pacer, Prediction, viewer::Hub};
+use eddy_node::{
+    NodeReport, Observer, Pacer, Prediction,
+    viewer::{Hub, ToolTarget},
+};
 use eddy_transport::Publisher;
 
 /// Frames that the simulation may be ahead of the node. Where a prediction takes longer than a frame lasts, time passes more slowly,
@@ -60,6 +64,8 @@ pub(super) struct Scenes {
     pub(super) seconds: f64,
     /// Whether another scene follows at the end of one, or as soon as little moves in it.
     pub(super) endless: bool,
+    /// Where the page wants the blade, if there is one.
+    pub(super) blade: Option<Arc<ToolTarget>>,
 }
 
 /// The name of the scene that a frame belongs to.
@@ -73,10 +79,30 @@ pub(super) fn name(frame: &Frame) -> String {
 impl Scenes {
     /// The scene of this number, a stream of its own.
     pub(super) fn simulation(&self, number: u64) -> anyhow::Result<Simulation> {
-        let mut scene = Scene::generate(Preset::MultiMaterial, self.seed, SCENE + number);
+        let mut scene = match self.blade {
+            Some(_) => push::scene(self.seed, SCENE + number),
+            None => Scene::generate(Preset::MultiMaterial, self.seed, SCENE + number),
+        };
         scene.frames.duration = self.seconds;
-        scene.frames.shortest = self.endless.then_some(SHORTEST.min(self.seconds));
+        // What rests is pushed again.
+        let ends_at_rest = self.endless && self.blade.is_none();
+        scene.frames.shortest = ends_at_rest.then_some(SHORTEST.min(self.seconds));
         Ok(Simulation::new(scene, &mpm::Settings::default())?)
+    }
+
+    /// The next frame; matter that a blade has crushed ends the scene.
+    fn next_frame(&self, simulation: &mut Simulation) -> anyhow::Result<Option<Frame>> {
+        let Some(target) = &self.blade else { return Ok(simulation.next_frame()?) };
+        if simulation.has_begun() {
+            push::follow(target, simulation)?;
+        }
+        match simulation.next_frame() {
+            Err(error) if self.endless => {
+                tracing::warn!("the scene ends: {error}");
+                Ok(None)
+            }
+            outcome => Ok(outcome?),
+        }
     }
 
     /// Simulates scenes one after the other. Returns whether the first was complete.
@@ -89,8 +115,12 @@ impl Scenes {
     ) -> anyhow::Result<bool> {
         let mut simulation = first;
         for number in 1.. {
-            let next = |simulation: &mut Simulation| Ok(simulation.next_frame()?);
-            let publish = |frame: &Frame, _: &Simulation| source.publish(frame);
+            source.describe(simulation.scene())?;
+            let next = |simulation: &mut Simulation| self.next_frame(simulation);
+            let publish = |frame: &Frame, simulation: &Simulation| {
+                source.publish_tools(frame, simulation)?;
+                source.publish(frame)
+            };
             let complete = pacer.run(&mut simulation, next, &is_stopped, publish)?;
             if !complete || !self.endless {
                 return Ok(complete || number > 1);
@@ -117,9 +147,32 @@ pub(super) struct Source {
     pub(super) hub: Option<Arc<Hub>>,
     /// The scene whose name it has.
     pub(super) named: Option<u64>,
+    /// The tools, if the scenes have some.
+    pub(super) tools: Option<ToolTopics>,
 }
 
 impl Source {
+    /// Says what the tools of the next scene are.
+    fn describe(&mut self, scene: &Scene) -> anyhow::Result<()> {
+        let Some(topics) = &mut self.tools else { return Ok(()) };
+        let tools = scene.tools_of_stream();
+        if let (Some(hub), Some(tools)) = (&self.hub, &tools) {
+            hub.describes(tools.clone());
+        }
+        Ok(topics.describe(tools)?)
+    }
+
+    /// Says where the tools are at a frame, before it is published.
+    fn publish_tools(&mut self, frame: &Frame, simulation: &Simulation) -> anyhow::Result<()> {
+        let Some(topics) = &mut self.tools else { return Ok(()) };
+        let tools = simulation.tool_frame(frame);
+        topics.publish(&tools)?;
+        if let Some(hub) = &self.hub {
+            hub.moved(tools);
+        }
+        Ok(())
+    }
+
     fn publish(&mut self, frame: &Frame) -> anyhow::Result<()> {
         if let Some(hub) = self.hub.as_ref().filter(|_| self.named != Some(frame.stream)) {
             hub.begins(frame.stream, name(frame));

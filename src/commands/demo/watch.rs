@@ -25,6 +25,8 @@ pub(super) struct Watch {
     pub(super) truth: Recorded,
     pub(super) prediction: Recorded,
     pub(super) status: Recorded,
+    /// Tools, if the scenes have some: what they are, and where.
+    pub(super) tools: Vec<Recorded>,
 }
 
 /// A topic that is recorded as it is received.
@@ -67,6 +69,7 @@ impl Watch {
         let (mut printed, mut named) = (clock.now(), None);
         loop {
             let ended = truth_ended.load(Ordering::Relaxed);
+            self.tools()?;
             self.predictions(&mut live)?;
             while let Some(payload) = self.status.receive(&mut self.recorder, Duration::ZERO)? {
                 let status: PredictionStatus = cdr::decode(&payload.into_cdr())?;
@@ -97,6 +100,13 @@ impl Watch {
         Ok(())
     }
 
+    fn tools(&mut self) -> anyhow::Result<()> {
+        for topic in &mut self.tools {
+            while topic.receive(&mut self.recorder, Duration::ZERO)?.is_some() {}
+        }
+        Ok(())
+    }
+
     fn predictions(&mut self, live: &mut Live) -> anyhow::Result<()> {
         while let Some(payload) = self.prediction.receive(&mut self.recorder, Duration::ZERO)? {
             live.prediction(payload.into_frame()?);
@@ -110,7 +120,8 @@ impl Watch {
             self.recorder = None;
         }
         while !ended() {
-            for topic in [&mut self.prediction, &mut self.status, &mut self.truth] {
+            let frames = [&mut self.prediction, &mut self.status, &mut self.truth];
+            for topic in frames.into_iter().chain(&mut self.tools) {
                 while let Ok(Some(_)) = topic.receive(&mut self.recorder, Duration::ZERO) {}
             }
             thread::sleep(MAX_WAIT);
@@ -130,6 +141,7 @@ impl Watch {
         for topic in [&mut self.prediction, &mut self.status] {
             while topic.receive(&mut self.recorder, Duration::ZERO)?.is_some() {}
         }
+        self.tools()?;
         self.close()?;
         self.recorded.context("the bag was closed twice")
     }

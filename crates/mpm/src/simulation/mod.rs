@@ -327,6 +327,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Whether there was a first frame.
+    pub fn has_begun(&self) -> bool {
+        self.sequence > 0
+    }
+
     /// Where each tool is at the last frame.
     pub fn poses(&self) -> Vec<Pose> {
         self.moved.iter().map(|motion| motion.end).collect()

@@ -1,5 +1,7 @@
 //! Commands of a page. The program decides which are available; the page shows no others.
 
+use std::sync::{Mutex, PoisonError};
+
 use serde::{Deserialize, Serialize};
 
 /// A command of a page.
@@ -25,6 +27,8 @@ pub enum PageCommand {
     PublishAll { on: bool },
     /// Start a free run, or observe again after a warm-up.
     FreeRun { on: bool },
+    /// Move the tool there (x and y, domain lengths), as fast as it can.
+    Tool { position: [f32; 2] },
 }
 
 impl PageCommand {
@@ -40,7 +44,24 @@ impl PageCommand {
             Self::Horizon { .. } => "horizon",
             Self::PublishAll { .. } => "publish_all",
             Self::FreeRun { .. } => "free_run",
+            Self::Tool { .. } => "tool",
         }
+    }
+}
+
+/// Where a page wants the tool of a simulation to be.
+#[derive(Debug, Default)]
+pub struct ToolTarget(Mutex<Option<[f32; 2]>>);
+
+impl ToolTarget {
+    /// The place (domain lengths), once a page has named one.
+    pub fn position(&self) -> Option<[f32; 2]> {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Names a place.
+    pub fn set(&self, position: [f32; 2]) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(position);
     }
 }
 

@@ -35,7 +35,7 @@ mod wire;
 
 pub use bag_view::BagView;
 pub use comparison::{Comparison, Pair, PredictionInfo};
-pub use controls::{ControlState, Controls, NoControls, PageCommand};
+pub use controls::{ControlState, Controls, NoControls, PageCommand, ToolTarget};
 pub use curves::{Curves, Point, Summary};
 pub use hub::{Hub, NodeStatus};
 pub use joiner::StatusJoiner;

@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use super::{
     Comparison, ControlState, Controls, Hub, NodeStatus, PageCommand, PageInfo, PredictionInfo,
-    Viewer, ViewerError,
+    ToolTarget, Viewer, ViewerError,
 };
 use crate::{
     CommandOutcome, NodeHandle, NodeReport, NodeRequest, NodeResponse, NodeSettings, Observer,
@@ -99,10 +99,15 @@ impl Observer for HubObserver {
     }
 }
 
+/// The controls of a node and its simulation; the first is that of its tool.
+const OF_BOTH: [&str; 8] =
+    ["tool", "pause", "step", "rate", "reset", "horizon", "publish_all", "free_run"];
+
 /// The controls of a page: of a node, of its source, or of both.
 pub struct ControlPanel {
     node: Option<Arc<NodeHandle>>,
     source: Option<Arc<PlayerHandle>>,
+    tool: Option<Arc<ToolTarget>>,
     available: &'static [&'static str],
 }
 
@@ -110,19 +115,27 @@ impl ControlPanel {
     /// A node whose source is another process.
     pub fn of_node(node: Arc<NodeHandle>) -> Self {
         let available = &["reset", "horizon", "publish_all", "free_run"];
-        Self { node: Some(node), source: None, available }
+        Self { node: Some(node), source: None, tool: None, available }
     }
 
     /// A bag player.
     pub fn of_player(source: Arc<PlayerHandle>) -> Self {
         let available = &["pause", "step", "rate", "skip"];
-        Self { node: None, source: Some(source), available }
+        Self { node: None, source: Some(source), tool: None, available }
     }
 
     /// A node and the simulation that it observes.
     pub fn of_both(node: Arc<NodeHandle>, source: Arc<PlayerHandle>) -> Self {
-        let available = &["pause", "step", "rate", "reset", "horizon", "publish_all", "free_run"];
-        Self { node: Some(node), source: Some(source), available }
+        Self { node: Some(node), source: Some(source), tool: None, available: &OF_BOTH[1..] }
+    }
+
+    /// The same with a tool of the simulation that follows the pointer.
+    pub fn of_both_and_tool(
+        node: Arc<NodeHandle>,
+        source: Arc<PlayerHandle>,
+        tool: Arc<ToolTarget>,
+    ) -> Self {
+        Self { tool: Some(tool), available: &OF_BOTH, ..Self::of_both(node, source) }
     }
 
     fn request(&self, request: NodeRequest, timeout: Duration) -> Result<NodeResponse, String> {
@@ -133,6 +146,15 @@ impl ControlPanel {
     fn set(&self, name: &str, value: ParameterValue) -> Result<String, String> {
         let parameter = Parameter { name: name.to_owned(), value };
         self.request(NodeRequest::Set(vec![parameter]), TIMEOUT).map(|_| String::new())
+    }
+
+    fn move_tool(&self, position: [f32; 2]) -> Result<String, String> {
+        let tool = self.tool.as_ref().ok_or("there is no tool here")?;
+        if !position.iter().all(|x| x.is_finite()) {
+            return Err(format!("position: found {position:?}, expected two finite numbers"));
+        }
+        tool.set(position);
+        Ok(String::new())
     }
 
     fn reset(&self) -> Result<String, String> {
@@ -169,6 +191,7 @@ impl Controls for ControlPanel {
             PageCommand::Rate { rate } => self.control(PlayerCommand::Rate(rate)),
             PageCommand::Skip { seconds } => self.control(PlayerCommand::Skip(seconds)),
             PageCommand::Reset => self.reset(),
+            PageCommand::Tool { position } => self.move_tool(position),
             PageCommand::Horizon { frames } => {
                 self.set("horizon", ParameterValue::integer(frames.into()))
             }
@@ -208,6 +231,23 @@ mod tests {
     use std::{sync::atomic::AtomicBool, thread};
 
     use super::*;
+
+    #[test]
+    fn a_tool_is_moved_where_there_is_one() {
+        let (node, source) = (Arc::default(), Arc::default());
+        let there = PageCommand::Tool { position: [0.25, 0.5] };
+        let without = ControlPanel::of_both(Arc::clone(&node), Arc::clone(&source));
+        assert_eq!(without.execute(there), Err("there is no tool here".to_owned()));
+        assert!(!without.available().contains(&"tool"));
+        let tool = Arc::new(ToolTarget::default());
+        let panel = ControlPanel::of_both_and_tool(node, source, Arc::clone(&tool));
+        assert!(panel.available().contains(&"tool"));
+        assert_eq!(tool.position(), None);
+        assert_eq!(panel.execute(there), Ok(String::new()));
+        let nowhere = PageCommand::Tool { position: [f32::INFINITY, 0.5] };
+        assert!(panel.execute(nowhere).unwrap_err().contains("expected two finite numbers"));
+        assert_eq!(tool.position(), Some([0.25, 0.5]));
+    }
 
     #[test]
     fn commands_reach_the_player_and_its_state_is_shown() {

@@ -2,7 +2,7 @@
 
 import { Camera } from "/camera.js";
 import { draw as drawChart } from "/chart.js";
-import { aspectOf, read, timeOf } from "/frame.js";
+import { aspectOf, read, timeOf, toolOf } from "/frame.js";
 import { History } from "/history.js";
 import { listen } from "/keys.js";
 import { Legend } from "/legend.js";
@@ -48,6 +48,7 @@ const link = new Link({
     connection("open", "connected");
     now.undrawn = now.pending = 0;
     now.next = null;
+    tool.isMoving = false;
   },
   closed(wait) {
     clearInterval(countdown);
@@ -63,6 +64,7 @@ const link = new Link({
     if (message.type === "hello") start(message);
     else if (message.type === "metrics") show(message);
     else if (message.type === "outcome") {
+      if (message.of === "tool") return tool.moved(message);
       if (!message.done) notify(`${message.of.replace("_", " ")}: ${message.message}`);
       else if (message.message) notify(message.message);
       now.pending = Math.max(0, now.pending - 1);
@@ -353,6 +355,36 @@ function send(name, more = {}, then = {}) {
   now.until = performance.now() + TIMEOUT;
   showState({ ...now.state, ...then });
 }
+/** Moves the tool: the last place that was wanted, one command at a time. */
+const tool = {
+  wanted: null, isMoving: false,
+  to(position) {
+    this.wanted = position;
+    if (this.isMoving || !link.send({ do: "tool", position })) return;
+    [this.wanted, this.isMoving] = [null, true];
+  },
+  moved({ done, message }) {
+    this.isMoving = false;
+    if (!done) notify(`tool: ${message}`);
+    if (this.wanted) this.to(this.wanted);
+  },
+  /** By a share of the domain, from where it is drawn. */
+  by(right, up) {
+    const at = this.wanted ?? (now.frame && toolOf(now.frame));
+    if (!at) return;
+    const { lower, upper } = now.frame;
+    this.to([right, up].map((share, axis) => at[axis] + share * STEP * (upper[axis] - lower[axis])));
+  },
+};
+const STEP = 0.08;
+const hasTool = () => now.available.has("tool") && now.past === null;
+for (const plot of document.querySelectorAll(".plot")) {
+  plot.addEventListener("pointermove", ({ clientX, clientY, buttons }) => {
+    if (!hasTool() || !now.frame || (buttons && camera.zoom > 1)) return;
+    const { lower, upper } = now.frame;
+    tool.to(camera.at(plot, clientX, clientY).map((share, axis) => lower[axis] + share * (upper[axis] - lower[axis])));
+  });
+}
 function toggle(name) {
   if (!now.available.has(name)) return;
   const on = now.state[name];
@@ -382,6 +414,10 @@ const actions = {
       send("step");
     }
   },
+  right: () => (hasTool() ? tool.by(1, 0) : actions.step()),
+  left: () => (hasTool() ? tool.by(-1, 0) : actions.previous()),
+  up: () => hasTool() && tool.by(0, 1),
+  down: () => hasTool() && tool.by(0, -1),
   previous: () => scrub((now.past ?? history.length - 1) - 1),
   live,
   reset: () => now.available.has("reset") && send("reset"),

@@ -19,6 +19,19 @@ export class Camera {
     return [wide, wide / this.aspect];
   }
 
+  /** A place of the window in pixels right of and above the middle of a plot. */
+  offset(plot, x, y) {
+    const box = plot.getBoundingClientRect();
+    return [x - box.left - box.width / 2, box.top + box.height / 2 - y];
+  }
+
+  /** The point of the domain at a place of the window, 0 to 1 across the domain. */
+  at(plot, x, y) {
+    const offset = this.offset(plot, x, y);
+    const size = this.fitted(plot.clientWidth, plot.clientHeight);
+    return this.centre.map((part, axis) => part + offset[axis] / size[axis] / this.zoom);
+  }
+
   reset() {
     this.view(1, [0.5, 0.5]);
   }
@@ -46,10 +59,7 @@ export class Camera {
 
   listen(plot) {
     const pointers = new Map();
-    const offset = (x, y) => {
-      const box = plot.getBoundingClientRect();
-      return [x - box.left - box.width / 2, box.top + box.height / 2 - y];
-    };
+    const offset = (x, y) => this.offset(plot, x, y);
     /** Middle of the pointers and their distance. */
     const grip = () => {
       const all = [...pointers.values()];

@@ -45,3 +45,10 @@ export function read(buffer) {
 export const aspectOf = ({ lower, upper }) => (upper[0] - lower[0]) / (upper[1] - lower[1]);
 /** Simulation time (s): of the truth, or of the prediction if it is alone. */
 export const timeOf = ({ truth, prediction }) => (truth.present ? truth : prediction).stamp;
+/** The middle of the tools that are drawn (domain lengths); null if there are none. */
+export function toolOf({ buffer, shapes, lower, upper }) {
+  if (!shapes.tools) return null;
+  const corners = new Float32Array(buffer, shapes.at, 2 * shapes.tools);
+  const middle = (axis) => corners.reduce((sum, part, index) => sum + (index % 2 === axis ? part : 0), 0) / shapes.tools;
+  return [0, 1].map((axis) => lower[axis] + middle(axis) * (upper[axis] - lower[axis]));
+}

@@ -5,8 +5,10 @@ import { rows } from "/metrics.js";
 /** Key, its name in the list (none if another line names it), what it does, and the action with its arguments. */
 const KEYS = [
   [" ", "space", "pause or resume", "pause"],
-  ["ArrowRight", "→", "advance by one frame", "step"],
-  ["ArrowLeft", "←", "go back one frame in the timeline", "previous"],
+  ["ArrowRight", "→", "advance by one frame", "right"],
+  ["ArrowLeft", "←", "go back one frame in the timeline", "left"],
+  ["ArrowUp", "← → ↑ ↓", "move the tool, if there is one that follows the mouse", "up"],
+  ["ArrowDown", "", "", "down"],
   ["End", "End", "the newest frame", "live"],
   ["r", "r", "reset all streams", "reset"],
   ["f", "f", "free run on or off", "free_run"],
