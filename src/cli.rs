@@ -13,7 +13,7 @@ mod topics;
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::{
-    Args, CommandFactory, Parser, Subcommand,
+    Args, CommandFactory, Parser, Subcommand, ValueEnum,
     error::{ContextKind, ContextValue, ErrorKind},
 };
 use clap_complete::Shell;

@@ -47,6 +47,7 @@ mod stiffness;
 mod stuck;
 mod support;
 mod terminal;
+mod tools;
 mod topic;
 mod train;
 mod unusable_frames;
