@@ -4,7 +4,7 @@
 //
 // Runs `eddy demo`, inspects the pixels of the page, uses its controls, kills and restarts the program, opens ten
 // tabs at once and narrow windows, and switches between light and dark. Prints the browser's frame rate and renderer.
-// `eddy replay` shows a recording without predictions, and one of a wide domain with them.
+// `eddy replay` shows a recording without predictions, one of a wide domain with them, and one with a tool.
 
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
@@ -117,11 +117,33 @@ async function colours(page, selector, palette, near = 40) {
   }, [png, palette, near]);
 }
 
+/** The mean place of an element's pixels that have a colour, 0 to 1 from its upper left corner; null if they are few. */
+async function middle(page, selector, colour) {
+  const png = (await page.locator(selector).screenshot()).toString("base64");
+  return easel.evaluate(async ([png, colour]) => {
+    const bytes = Uint8Array.from(atob(png), (letter) => letter.charCodeAt(0));
+    const picture = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+    const { width, height } = picture;
+    const pen = new OffscreenCanvas(width, height).getContext("2d");
+    pen.drawImage(picture, 0, 0);
+    const { data } = pen.getImageData(0, 0, width, height);
+    let [count, x, y] = [0, 0, 0];
+    for (let at = 0; at < data.length; at += 4) {
+      if (Math.hypot(...colour.map((part, i) => part - data[at + i])) > 12) continue;
+      const pixel = at / 4;
+      [count, x, y] = [count + 1, x + (pixel % width), y + Math.floor(pixel / width)];
+    }
+    return count < 50 ? null : [x / count / width, y / count / height];
+  }, [png, colour]);
+}
+
 /** Width and height of a PNG. */
 const sizeOf = (png) => [png.readUInt32BE(16), png.readUInt32BE(20)];
 const VIRIDIS = [[68, 1, 84], [59, 81, 139], [33, 144, 141], [92, 200, 99], [253, 231, 37]];
 const GHOST = [185, 192, 201];
 const LIQUID = [0, 114, 178];
+const TOOL = [95, 100, 110];
+const FORCE = [190, 30, 45];
 /** Liquid, snow, jelly, rope. */
 const MATERIALS = [LIQUID, [86, 180, 233], [230, 159, 0], [213, 94, 0]];
 /** The share of an element's pixels that have the colour of a material. */
@@ -449,6 +471,42 @@ try {
   }
   await compared.kill();
   console.log("replays: without predictions, of a wide domain");
+
+  // A blade follows the mouse and the arrow keys, and is drawn in recordings.
+  const output = join(work, "pushed");
+  const pushing = await serve("demo", "--scene", "push", "--port", "0", "--output", output);
+  const bench = await tab(pushing.url);
+  await open(bench);
+  await draws(bench);
+  await until("the blade is drawn", () => middle(bench, "#truth .plot", TOOL));
+  const field = await bench.locator("#truth .plot").boundingBox();
+  const at = async () => (await middle(bench, "#truth .plot", TOOL)) ?? [NaN, NaN];
+  for (const [x, y] of [[0.5, 0.4], [0.3, 0.3]]) {
+    await bench.mouse.move(field.x + x * field.width, field.y + y * field.height);
+    await until("the blade is where the mouse is", async () => {
+      const found = await at();
+      return Math.hypot(found[0] - x, found[1] - y) < 0.03;
+    });
+  }
+  await snap(bench, "pushing");
+  const [start] = await at();
+  for (let press = 0; press < 4; press++) {
+    await bench.keyboard.press("ArrowRight");
+    await sleep(500);
+  }
+  await until("the blade has followed the keys", async () => (await at())[0] > start + 0.1);
+  await bench.context().close();
+  await pushing.kill();
+  const pushed = join(work, "pushes");
+  run("simulate", "--preset", "push", "--scenes", "1", "--seed", "1", "--output", pushed);
+  const replayed = await replay(join(pushed, "scene_0000"), "/particles", "/tools", "/tools/description");
+  const rerun = await tab(replayed.url);
+  await until("the blade of a recording is drawn", () => middle(rerun, "#truth .plot", TOOL));
+  await until("and the force on it", async () => (await colours(rerun, "#truth .plot", [FORCE], 20))[0] > 0.0005);
+  await snap(rerun, "replayed-tools");
+  await rerun.context().close();
+  await replayed.kill();
+  console.log("a blade follows mouse and keys; tools and forces of recordings");
 
   assert.deepEqual(faults, []);
   console.log("no requests to other origins, no errors");
