@@ -8,7 +8,7 @@ use super::{
     particle::Particle,
     spline::Stencil,
     step::Step,
-    tool::{Barriers, Hidden, Loads},
+    tool::{Barriers, Hidden, Loads, WAYS},
 };
 use eddy_frames::Material;
 
@@ -45,7 +45,11 @@ pub(super) fn scatter(
             let [x, y] = momentum([0, 1].map(|k| place[k] as f32 - stencil.offset[k]));
             [x / mass, y / mass - fall]
         };
-        let hidden = barriers.hidden(particle.position, &stencil, given, loads);
+        let mut velocity = [[0.0; WAYS]; 2];
+        for (k, (place, ..)) in stencil.nodes().enumerate() {
+            [velocity[0][k], velocity[1][k]] = given(place);
+        }
+        let hidden = barriers.hidden(particle.position, &stencil, &velocity, loads);
         for (place, weight, distance) in stencil.nodes() {
             if hidden.is_some_and(|hidden| !hidden.sees(place)) {
                 continue;

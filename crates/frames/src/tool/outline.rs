@@ -290,45 +290,115 @@ impl Part {
     /// Where the way from one point to another enters it: the share of the way, 0 to 1, and the surface there. A way that begins
     /// inside enters at once, through the nearest surface.
     #[inline]
-    pub fn entered(&self, from: [f32; 2], to: [f32; 2]) -> Option<(f32, Edge)> {
+    pub fn entered(&self, from: [f32; 2], [x, y]: [f32; 2]) -> Option<(f32, Edge)> {
+        let Entries { share: [share], normal: [[u], [v]], offset: [offset] } =
+            self.entries(from, &[[x], [y]]);
+        (share <= 1.0).then_some((share, Edge { normal: [u, v], offset }))
+    }
+
+    /// As [`Part::entered`], for ways from one point to several: their x, and their y.
+    #[inline(always)]
+    pub fn entries<const N: usize>(&self, from: [f32; 2], to: &[[f32; N]; 2]) -> Entries<N> {
         match self {
-            Self::Disc { centre, radius } => {
-                let [x, y] = [from[0] - centre[0], from[1] - centre[1]];
-                let [u, v] = [to[0] - from[0], to[1] - from[1]];
-                // |(x, y) + share (u, v)| = radius
-                let (a, b, c) = (u * u + v * v, x * u + y * v, x * x + y * y - radius * radius);
-                if c < 0.0 {
-                    return Some((0.0, self.surface(from)));
-                }
-                let square = b * b - a * c;
-                if b >= 0.0 || square < 0.0 {
-                    return None;
-                }
-                let share = (0.0 - b - square.sqrt()) / a;
-                (share < 1.0)
-                    .then(|| (share, tangent(*centre, *radius, [x + share * u, y + share * v])))
-            }
+            Self::Disc { centre, radius } => disc_entries(*centre, *radius, from, to),
             Self::Convex { edges, .. } => {
-                let (mut first, mut last) = (0.0, 1.0);
-                let mut surface = None;
-                for edge in edges {
-                    let [before, after] = [from, to].map(|point| edge.distance(point));
-                    match (before >= 0.0, after >= 0.0) {
-                        (true, true) => return None,
-                        (true, false) => {
-                            let share = before / (before - after);
-                            if surface.is_none() || share > first {
-                                (first, surface) = (share, Some(*edge));
-                            }
-                        }
-                        (false, true) => last = f32::min(last, before / (before - after)),
-                        (false, false) => {}
-                    }
+                let (mut found, begin_inside) = edges_entries(edges, from, to);
+                if begin_inside {
+                    let Edge { normal: [u, v], offset } = self.surface(from);
+                    (found.normal, found.offset) = ([[u; N], [v; N]], [offset; N]);
                 }
-                (first <= last).then(|| (first, surface.unwrap_or_else(|| self.surface(from))))
+                found
             }
         }
     }
+}
+
+/// Where several ways from one point enter a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Entries<const N: usize> {
+    /// The share of each way, 0 to 1; infinite if it does not enter.
+    pub share: [f32; N],
+    /// Outward normals of the surfaces there: their x, and their y.
+    pub normal: [[f32; N]; 2],
+    /// Offsets of these surfaces, as in [`Edge`].
+    pub offset: [f32; N],
+}
+
+impl<const N: usize> Entries<N> {
+    /// None enters.
+    pub const NONE: Self =
+        Self { share: [f32::INFINITY; N], normal: [[0.0; N]; 2], offset: [0.0; N] };
+}
+
+/// Where ways enter what lies behind all of these edges, and whether they begin there: then the surface is left out.
+///
+/// Without branches for each way, so that it can be vectorised.
+#[inline(always)]
+fn edges_entries<const N: usize>(
+    edges: &[Edge],
+    from: [f32; 2],
+    to: &[[f32; N]; 2],
+) -> (Entries<N>, bool) {
+    let mut found = Entries::NONE;
+    let mut begin_inside = true;
+    // Where the way has come behind the last edge, and where it comes in front of the first again; it begins at 0 and ends at 1.
+    let (mut first, mut last) = ([-1.0; N], [1.0; N]);
+    for &edge in edges {
+        let Edge { normal: [u, v], offset } = edge;
+        let before = edge.distance(from);
+        let begins_in_front = before >= 0.0;
+        begin_inside &= !begins_in_front;
+        for k in 0..N {
+            let after = edge.distance([to[0][k], to[1][k]]);
+            let share = before / (before - after);
+            let (enters, leaves) = match begins_in_front {
+                true => (if after < 0.0 { share } else { -1.0 }, f32::INFINITY),
+                false => (-1.0, if after >= 0.0 { share } else { f32::INFINITY }),
+            };
+            found.normal[0][k] = if enters > first[k] { u } else { found.normal[0][k] };
+            found.normal[1][k] = if enters > first[k] { v } else { found.normal[1][k] };
+            found.offset[k] = if enters > first[k] { offset } else { found.offset[k] };
+            first[k] = if enters > first[k] { enters } else { first[k] };
+            last[k] = if leaves < last[k] { leaves } else { last[k] };
+            // It stays in front.
+            last[k] = if begins_in_front && after >= 0.0 { f32::NEG_INFINITY } else { last[k] };
+        }
+    }
+    for k in 0..N {
+        let share = if first[k] > 0.0 { first[k] } else { 0.0 };
+        found.share[k] = if first[k] <= last[k] { share } else { f32::INFINITY };
+    }
+    (found, begin_inside)
+}
+
+/// Where ways enter a disc: |(x, y) + share (u, v)| = radius.
+#[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "several arrays go in step, in vectors")]
+fn disc_entries<const N: usize>(
+    centre: [f32; 2],
+    radius: f32,
+    from: [f32; 2],
+    to: &[[f32; N]; 2],
+) -> Entries<N> {
+    let [x, y] = [from[0] - centre[0], from[1] - centre[1]];
+    let c = x * x + y * y - radius * radius;
+    let mut found = Entries::NONE;
+    for k in 0..N {
+        let [u, v] = [to[0][k] - from[0], to[1][k] - from[1]];
+        let (a, b) = (u * u + v * v, x * u + y * v);
+        let square = b * b - a * c;
+        let share = (0.0 - b - square.sqrt()) / a;
+        let enters = b < 0.0 && square >= 0.0 && share < 1.0;
+        let share = if enters { share } else { f32::INFINITY };
+        let share = if c < 0.0 { 0.0 } else { share };
+        found.share[k] = share;
+        if share <= 1.0 {
+            let Edge { normal: [p, q], offset } =
+                tangent(centre, radius, [x + share * u, y + share * v]);
+            (found.normal[0][k], found.normal[1][k], found.offset[k]) = (p, q, offset);
+        }
+    }
+    found
 }
 
 /// The tangent of a circle at the point that lies in this direction from its centre.

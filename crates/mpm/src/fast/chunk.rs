@@ -8,7 +8,7 @@ use std::ops::Range;
 use super::{
     super::tool::Loads,
     field::Field,
-    obstacles::Kept,
+    obstacles::Beside,
     simd::{LANES, Simd},
 };
 
@@ -46,8 +46,8 @@ pub(super) struct Chunk {
     /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
     /// Particles that have scattered beside a tool, and the memory of those before.
-    pub(super) kept: Vec<Kept>,
-    pub(super) gathered: Vec<Kept>,
+    pub(super) beside: Beside,
+    pub(super) gathered: Beside,
     /// What the tools have got from its particles.
     pub(super) loads: Loads,
     /// A particle has drifted into the last cells of the margin.
@@ -71,7 +71,7 @@ impl Chunk {
         self.inverse_dx = field.inverse_dx;
         self.drifted = false;
         self.lost = false;
-        self.kept.clear();
+        self.beside.clear();
         for axis in 0..2 {
             let last = field.sides[axis] as i32 - STENCIL;
             let around =
@@ -105,14 +105,21 @@ impl Chunk {
         self.range.start / LANES..self.range.end.div_ceil(LANES)
     }
 
-    /// Whether the stencils of sixteen positions (cells) lie in the patch, and in the patch without the outermost cell of
-    /// the margin. False for NaN.
+    /// Whether the stencils of sixteen positions (cells) lie in the patch: else a particle is lost. Notes whether they have drifted into the
+    /// outermost cell of the margin. False for NaN.
     #[inline(always)]
-    pub(super) fn holds<S: Simd>(&self, simd: S, position: [S::Lanes; 2]) -> (bool, bool) {
+    pub(super) fn takes<S: Simd>(&mut self, simd: S, position: [S::Lanes; 2]) -> bool {
         let [x, y] = position;
         let inside = simd.within(x, self.inside[0]) & simd.within(y, self.inside[1]);
         let near = simd.within(x, self.near[0]) & simd.within(y, self.near[1]);
-        (simd.count(inside) == LANES, simd.count(near) == LANES)
+        self.drifted |= simd.count(near) < LANES;
+        self.lost |= simd.count(inside) < LANES;
+        !self.lost
+    }
+
+    /// Corners of the box of its particles, lower first (domain lengths).
+    pub(super) fn bounds(&self) -> [[f32; 2]; 2] {
+        [0, 1].map(|end| [0, 1].map(|axis| self.inside[axis][end] / self.inverse_dx))
     }
 
     /// Whether the stencil of one position lies in the patch.
@@ -130,7 +137,7 @@ impl Chunk {
         let (Some(momentum), Some(mass)) =
             (self.momentum[start..].first_chunk_mut(), self.mass[start..].first_chunk_mut())
         else {
-            unreachable!("`holds` checks that the stencil lies in the patch")
+            unreachable!("`takes` checks that the stencil lies in the patch")
         };
         (momentum, mass)
     }
@@ -141,27 +148,8 @@ impl Chunk {
         let start = at + i * self.stride;
         [&mut self.solid, &mut self.area].map(|sums| match sums[start..].first_chunk_mut() {
             Some(nodes) => nodes,
-            None => unreachable!("`holds` checks that the stencil lies in the patch"),
+            None => unreachable!("`takes` checks that the stencil lies in the patch"),
         })
-    }
-
-    /// Adds a share of a particle to the node (i, j) of the patch: its velocity, and with the law `settling` its mass as a solid and its J as
-    /// a liquid.
-    pub(super) fn add(
-        &mut self,
-        [i, j]: [usize; 2],
-        weight: f32,
-        velocity: [f32; 2],
-        of_settling: Option<[f32; 2]>,
-    ) {
-        let at = i * self.stride + j;
-        let [x, y] = self.momentum[at];
-        self.momentum[at] = [x + weight * velocity[0], y + weight * velocity[1]];
-        self.mass[at] += weight;
-        if let Some([solid, area]) = of_settling {
-            self.solid[at] += weight * solid;
-            self.area[at] += weight * area;
-        }
     }
 
     /// Whether the patch contains this row of the grid.

@@ -103,6 +103,52 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     }
 }
 
+/// Scatters a particle to the nodes that it sees only.
+#[inline(always)]
+pub(super) fn scatter_seen<S: Simd, const SETTLING: bool>(
+    simd: S,
+    weights: &Weights<S>,
+    scratch: &Scratch,
+    lane: usize,
+    visible: u16,
+    chunk: &mut Chunk,
+) {
+    let Scratch { node, offset, weight, area, solid, has_solids, vectors, .. } = scratch;
+    let [lowest, along_x, along_y] = vectors;
+    let along_x = simd.repeat(&along_x[lane]);
+    let mut velocity = simd.repeat(&lowest[lane]) + weights.places * simd.repeat(&along_y[lane]);
+    let along = weights.pairs(simd.splat_pairs(offset[lane]));
+    let mass = weights.ones(simd.splat_ones(offset[lane]));
+    let mut of_patch = CellSum::zero(simd);
+    of_patch.at = node[lane] as usize;
+    of_patch.has_solids = SETTLING && *has_solids;
+    for i in 0..3 {
+        let seen = simd.load_ones(&SEEN[usize::from(visible >> (3 * i) & 7)]);
+        let mass = simd.splat_ones(weight[i][lane]) * mass * seen;
+        of_patch.mass[i] = mass;
+        of_patch.momentum[i] =
+            simd.splat_pairs(weight[i][lane]) * along * velocity * simd.twice(seen);
+        if SETTLING {
+            of_patch.area[i] = simd.splat_ones(area[lane]) * mass;
+            of_patch.solid[i] = simd.splat_ones(solid[lane]) * mass;
+        }
+        velocity = velocity + along_x;
+    }
+    of_patch.flush::<SETTLING>(simd, chunk);
+}
+
+/// By three bits: 1 for each node of a row that a particle sees, else 0.
+const SEEN: [[f32; 4]; 8] = [
+    [0.0, 0.0, 0.0, 0.0],
+    [1.0, 0.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0],
+    [1.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 0.0],
+    [1.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 1.0, 0.0],
+    [1.0, 1.0, 1.0, 0.0],
+];
+
 /// Sum over consecutive particles of one cell, in registers, added to the patch when the cell changes.
 pub(super) struct CellSum<S: Simd> {
     /// Index of the lowest node in the patch; `usize::MAX` at first.

@@ -13,7 +13,7 @@ pub(super) struct Stencils<S: Simd> {
 }
 
 impl<S: Simd> Stencils<S> {
-    /// The stencils at positions (cells) inside the patch, see [`Chunk::holds`](super::chunk::Chunk::holds).
+    /// The stencils at positions (cells) inside the patch, see [`Chunk::takes`](super::chunk::Chunk::takes).
     #[inline(always)]
     pub(super) fn of(simd: S, cell: [S::Lanes; 2]) -> Self {
         let (half, one) = (simd.splat(0.5), simd.splat(1.0));

@@ -4,7 +4,7 @@
 //! All particles have the same mass, so masses and momenta are in units of it.
 
 use super::{
-    super::step::Step,
+    super::{step::Step, tool::ALL_NODES},
     chunk::Chunk,
     field::Nodes,
     gather::gather,
@@ -12,7 +12,7 @@ use super::{
     level::Work,
     obstacles::Obstacles,
     pack::Pack,
-    scatter::{CellSum, prepare, scatter},
+    scatter::{CellSum, prepare, scatter, scatter_seen},
     simd::{LANES, Lanes, Simd, Vectors},
     stencil::{Stencils, Weights},
 };
@@ -35,7 +35,7 @@ pub(super) struct Scratch {
     /// 1 for solids, 0 for liquids, in a pack that has any.
     pub(super) solid: Lanes,
     pub(super) has_solids: bool,
-    /// Lanes of particles beside a tool, which have scattered already, as bits.
+    /// Lanes of particles that do not see all of their nodes, which have scattered already, as bits.
     pub(super) apart: u16,
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
@@ -83,37 +83,46 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
         let mut sum = CellSum::zero(simd);
         let mut scratch = Scratch::EMPTY;
         let mut left = chunk.particles().len();
-        std::mem::swap(&mut chunk.kept, &mut chunk.gathered);
-        chunk.kept.clear();
+        let near_parts: Vec<_> = match &obstacles {
+            Some(obstacles) if SCATTER => obstacles.near(chunk.bounds()).collect(),
+            _ => Vec::new(),
+        };
+        std::mem::swap(&mut chunk.beside, &mut chunk.gathered);
+        chunk.beside.clear();
         let gathered = std::mem::take(&mut chunk.gathered);
-        let mut kept = gathered.as_slice();
+        let mut waiting = gathered.waiting();
         for (number, pack) in packs.iter_mut().enumerate() {
             let lanes = left.min(LANES);
             left -= lanes;
             if GATHER {
                 gather(simd, &weights, pack, field, step, &mut scratch);
                 if let Some(obstacles) = &obstacles {
-                    obstacles.gather(number, pack, lanes, &mut kept, field, step);
+                    obstacles.gather(number, pack, lanes, &mut waiting, field, step);
                 }
             }
             let inverse_dx = simd.splat(step.inverse_dx);
             let [x, y] = &pack.position;
             let cell = [simd.load(x) * inverse_dx, simd.load(y) * inverse_dx];
-            let (inside, near) = chunk.holds(simd, cell);
-            if !inside {
-                chunk.lost = true;
+            if !chunk.takes(simd, cell) {
                 return;
-            }
-            if !near {
-                chunk.drifted = true;
             }
             if SCATTER {
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
                 prepare::<S, SETTLING>(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
-                if let Some(obstacles) = &obstacles {
-                    let scratch = &mut scratch;
-                    obstacles.scatter::<SETTLING>(number, pack, lanes, scratch, chunk, step);
+                if let (Some(obstacles), false) = (&obstacles, near_parts.is_empty()) {
+                    let beside =
+                        obstacles.beside(simd, pack, stencils.offset, lanes, &near_parts, step);
+                    scratch.apart = 0;
+                    for lane in (0..lanes).filter(|lane| beside >> lane & 1 == 1) {
+                        let seen = obstacles.hide(number, lane, pack, &scratch, chunk, step);
+                        if seen != ALL_NODES {
+                            scratch.apart |= 1 << lane;
+                            scatter_seen::<S, SETTLING>(
+                                simd, &weights, &scratch, lane, seen, chunk,
+                            );
+                        }
+                    }
                 }
                 if SETTLING && scratch.has_solids {
                     scatter::<S, true, true>(simd, &weights, &scratch, lanes, chunk, &mut sum);

@@ -8,17 +8,25 @@
 //! After the compatible particle-in-cell method (CPIC) of Hu et al. 2018, section 5, which marks the sides of nodes and particles instead.
 
 use super::{
-    super::{grid::at_walls, matrix::Matrix2, spline::Stencil, step::Step},
-    Contact, Edge, Part, Pose, ToolMotion, met,
+    super::{
+        grid::{WALL_CELLS, at_walls},
+        matrix::Matrix2,
+        spline::Stencil,
+        step::Step,
+    },
+    Contact, Edge, Entries, Part, Pose, ToolMotion, met,
 };
 
 /// Distance from the surface at which particles end that would enter a tool (cells).
 const GAP: f32 = 1e-3;
 /// Distance along an axis beyond which tools do not matter to a particle or a node (cells): half of its kernel, and a little more.
-const SIGHT: f32 = 1.6;
+pub(in super::super) const SIGHT: f32 = 1.6;
 /// Distance from a surface within which nodes in front of it meet it (cells). With less, nodes that no surface stops press matter against it
 /// until it is several times as dense (`docs/lab/tools.md`).
 const BESIDE: f32 = 1.0;
+/// Number of nodes of a stencil, and all of them as bits.
+const NODES: usize = 9;
+pub(in super::super) const ALL_NODES: u16 = (1 << NODES) - 1;
 /// How many surfaces a particle may slide along in a substep: two in a corner, and again.
 const SLIDES: usize = 4;
 
@@ -46,17 +54,6 @@ struct Posed {
 }
 
 impl Posed {
-    /// Whether it may be between a particle and a node in the box with these corners: no if both are in front of one of its surfaces.
-    #[inline]
-    fn may_hide(&self, position: [f32; 2], nodes: [[f32; 2]; 2]) -> bool {
-        if !self.holds(position) {
-            return false;
-        }
-        let Edge { normal, offset } = self.part.surface(position);
-        let lowest = [0, 1].map(|k| f32::min(normal[k] * nodes[0][k], normal[k] * nodes[1][k]));
-        lowest[0] + lowest[1] < offset
-    }
-
     /// Whether a point lies in its box.
     #[inline]
     fn holds(&self, point: [f32; 2]) -> bool {
@@ -79,13 +76,6 @@ struct Moving {
 }
 
 impl Moving {
-    /// The velocity of its point there.
-    #[inline]
-    fn velocity_at(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        let [x0, y0] = self.pose.position;
-        [self.velocity[0] - self.spin * (y - y0), self.velocity[1] + self.spin * (x - x0)]
-    }
-
     /// Where a point that was there when the tool was at `before` is now, if it moves with the tool.
     fn follows(&self, before: &Self, [x, y]: [f32; 2]) -> [f32; 2] {
         if self.pose == before.pose {
@@ -101,13 +91,14 @@ impl Moving {
     }
 }
 
-/// A place on the surface of a tool.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    tool: usize,
-    point: [f32; 2],
+/// Where matter meets surfaces of a tool.
+struct Places<const N: usize> {
+    /// Their x, and their y.
+    point: [[f32; N]; 2],
     /// Outwards.
-    normal: [f32; 2],
+    normal: [[f32; N]; 2],
+    /// The mass there, in units of a particle's; 0 where none meets them.
+    mass: [f32; N],
 }
 
 /// What a particle keeps of itself behind surfaces, instead of giving it to nodes.
@@ -121,7 +112,36 @@ pub(in super::super) struct Hidden {
     pub(in super::super) moment: Matrix2,
 }
 
+/// Ways from a particle to its nodes, and some that fill vectors.
+pub(in super::super) const WAYS: usize = 16;
+
 impl Hidden {
+    /// Of a particle at this distance from its lowest node that sees these nodes: it keeps `weight` times `velocity` at the others.
+    #[inline(always)]
+    fn of(
+        visible: u16,
+        offset: [f32; 2],
+        weight: &[f32; WAYS],
+        velocity: &[[f32; WAYS]; 2],
+    ) -> Self {
+        let mut kept = [[0.0; WAYS]; 6];
+        for k in 0..WAYS {
+            let is_kept = visible >> k & 1 == 0;
+            let weight = if is_kept { weight[k] } else { 0.0 };
+            let [x, y] = [(k / 3 % 3) as f32 - offset[0], (k % 3) as f32 - offset[1]];
+            let [u, v] = [weight * velocity[0][k], weight * velocity[1][k]];
+            (kept[0][k], kept[1][k]) = (u, v);
+            (kept[2][k], kept[3][k]) = (u * x, u * y);
+            (kept[4][k], kept[5][k]) = (v * x, v * y);
+        }
+        let mut sums = [0.0; 6];
+        for (sum, kept) in sums.iter_mut().zip(&kept) {
+            *sum = added_up(kept);
+        }
+        let [u, v, xx, xy, yx, yy] = sums;
+        Self { visible, velocity: [u, v], moment: Matrix2::new(xx, xy, yx, yy) }
+    }
+
     /// Whether it sees node (i, j) of its stencil.
     #[inline]
     pub(in super::super) fn sees(&self, [i, j]: [usize; 2]) -> bool {
@@ -203,15 +223,18 @@ impl Barriers {
         self.tools.is_empty()
     }
 
-    /// Whether particles in a box may not see all of their nodes. `lower` and `upper` are its corners.
-    #[inline]
-    pub(in super::super) fn are_near(&self, [lower, upper]: [[f32; 2]; 2]) -> bool {
+    /// The parts that may be between nodes and particles in a box. `lower` and `upper` are its corners.
+    pub(in super::super) fn near(
+        &self,
+        [lower, upper]: [[f32; 2]; 2],
+    ) -> impl Iterator<Item = &Part> + Clone {
         let middle = [0, 1].map(|k| 0.5 * (lower[k] + upper[k]));
         let reach = (upper[0] - lower[0]) + (upper[1] - lower[1]) + 2.0 * SIGHT * self.dx;
-        self.parts.iter().any(|Posed { part, bounds: [from, to], .. }| {
+        let near = self.parts.iter().filter(move |Posed { part, bounds: [from, to], .. }| {
             let meets = (0..2).all(|axis| lower[axis] < to[axis] && upper[axis] > from[axis]);
             meets && part.distance(middle) < reach
-        })
+        });
+        near.map(|posed| &posed.part)
     }
 
     /// The nodes of a row at this x that are near tools: the range of their y (domain lengths).
@@ -222,64 +245,138 @@ impl Barriers {
         ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 
-    /// What a particle keeps behind the surfaces of tools: `velocity` is that which it would give to the node (i, j) of its stencil,
-    /// after gravity. `None` if it sees all of its nodes and is further than a cell from all tools. The impulses on the tools are added to `loads`.
-    #[inline]
+    /// What a particle keeps behind the surfaces of tools: `velocity` is that which it would give to each node of its stencil, after
+    /// gravity: their x, and their y. `None` if it sees all of its nodes and is further than a cell from all tools. The impulses on the tools
+    /// are added to `loads`.
+    #[inline(always)]
+    #[expect(clippy::needless_range_loop, reason = "several arrays go in step, in vectors")]
     pub(in super::super) fn hidden(
         &self,
         position: [f32; 2],
         stencil: &Stencil,
-        velocity: impl Fn([usize; 2]) -> [f32; 2],
+        velocity: &[[f32; WAYS]; 2],
         loads: &mut Loads,
     ) -> Option<Hidden> {
-        let first = stencil.base.map(|base| base as f32 * self.dx);
-        let nodes = [first, first.map(|x| x + 2.0 * self.dx)];
-        let hiding = || self.parts.iter().filter(|posed| posed.may_hide(position, nodes));
-        let clear = |posed: &Posed| posed.part.distance(position) >= self.dx;
-        if hiding().next().is_none()
-            && self.parts.iter().all(|posed| !posed.holds(position) || clear(posed))
-        {
-            return None;
+        // In the order of their bits; the last ones are copies.
+        let mut nodes = [[0.0; WAYS]; 2];
+        for k in 0..WAYS {
+            nodes[0][k] = (stencil.base[0] + k / 3 % 3) as f32 * self.dx;
+            nodes[1][k] = (stencil.base[1] + k % 3) as f32 * self.dx;
         }
-        let mut hidden = Hidden { visible: 0, velocity: [0.0; 2], moment: Matrix2::ZERO };
-        for (place, weight, [x, y]) in stencil.nodes() {
-            let node = [0, 1].map(|k| (stencil.base[k] + place[k]) as f32 * self.dx);
-            let entered = hiding().filter_map(|posed| {
-                let (share, surface) = posed.part.entered(position, node)?;
-                Some((share, surface.normal, posed.tool))
-            });
-            let first =
-                entered.reduce(|first, other| if other.0 < first.0 { other } else { first });
-            let Some((share, normal, tool)) = first else {
-                hidden.visible |= 1 << (3 * place[0] + place[1]);
-                continue;
-            };
-            let point = [0, 1].map(|k| position[k] + share * (node[k] - position[k]));
-            let kept = self.met(Place { tool, point, normal }, velocity(place), weight, loads);
-            let index = [0, 1].map(|k| stencil.base[k] + place[k]);
-            let kept = at_walls(kept, index, self.sides, self.wall_friction);
-            let [u, v] = kept.map(|v| weight * v);
-            hidden.velocity = [hidden.velocity[0] + u, hidden.velocity[1] + v];
-            hidden.moment = hidden.moment + Matrix2::new(u * x, u * y, v * x, v * y);
+        let (first, tools, is_beside) = self.first_met(position, &nodes);
+        let mut visible = 0;
+        for k in 0..NODES {
+            visible |= u16::from(first.share[k] > 1.0) << k;
         }
-        Some(hidden)
+        if visible == ALL_NODES {
+            let (velocity, moment) = ([0.0; 2], Matrix2::ZERO);
+            return is_beside.then_some(Hidden { visible, velocity, moment });
+        }
+        let mut weight = [0.0; WAYS];
+        for k in 0..NODES {
+            weight[k] = stencil.weight[0][k / 3] * stencil.weight[1][k % 3];
+        }
+        let mut kept = *velocity;
+        let mut point = [[0.0; WAYS]; 2];
+        for k in 0..WAYS {
+            let share = if first.share[k] <= 1.0 { first.share[k] } else { 1.0 };
+            point[0][k] = position[0] + share * (nodes[0][k] - position[0]);
+            point[1][k] = position[1] + share * (nodes[1][k] - position[1]);
+        }
+        for tool in 0..self.tools.len() as u32 {
+            let (mut mass, mut all) = ([0.0; WAYS], 0.0);
+            for k in 0..WAYS {
+                let is_met = first.share[k] <= 1.0 && tools[k] == tool;
+                mass[k] = if is_met { weight[k] } else { 0.0 };
+                all += mass[k];
+            }
+            if all > 0.0 {
+                let places = Places { point, normal: first.normal, mass };
+                self.meet(tool as usize, &places, &mut kept, loads);
+            }
+        }
+        let is_at_walls = (0..2).any(|axis| {
+            stencil.base[axis] < WALL_CELLS
+                || stencil.base[axis] + 2 + WALL_CELLS >= self.sides[axis]
+        });
+        if is_at_walls {
+            for k in 0..NODES {
+                let index = [stencil.base[0] + k / 3, stencil.base[1] + k % 3];
+                [kept[0][k], kept[1][k]] =
+                    at_walls([kept[0][k], kept[1][k]], index, self.sides, self.wall_friction);
+            }
+        }
+        Some(Hidden::of(visible, stencil.offset, &weight, &kept))
     }
 
-    /// The velocity of matter that has met a surface. `mass` is in units of a particle's.
-    #[inline]
-    fn met(&self, place: Place, velocity: [f32; 2], mass: f32, loads: &mut Loads) -> [f32; 2] {
-        let Place { tool, point, normal } = place;
+    /// The first surfaces on the ways from a particle to several points, their tools, and whether the particle is less than a cell in front
+    /// of a tool.
+    #[inline(always)]
+    fn first_met(
+        &self,
+        position: [f32; 2],
+        points: &[[f32; WAYS]; 2],
+    ) -> (Entries<WAYS>, [u32; WAYS], bool) {
+        let (mut first, mut tools, mut is_beside) = (Entries::NONE, [0; WAYS], false);
+        for posed in &self.parts {
+            if !posed.holds(position) {
+                continue;
+            }
+            let Posed { part, tool, .. } = posed;
+            is_beside |= part.distance(position) < self.dx;
+            let Entries { share, normal, .. } = part.entries(position, points);
+            for k in 0..WAYS {
+                let is_earlier = share[k] < first.share[k];
+                first.normal[0][k] = if is_earlier { normal[0][k] } else { first.normal[0][k] };
+                first.normal[1][k] = if is_earlier { normal[1][k] } else { first.normal[1][k] };
+                tools[k] = if is_earlier { *tool as u32 } else { tools[k] };
+                first.share[k] = if is_earlier { share[k] } else { first.share[k] };
+            }
+        }
+        (first, tools, is_beside)
+    }
+
+    /// The velocities of matter that has met surfaces of a tool, in place of those that it had: their x, and their y.
+    #[inline(always)]
+    fn meet<const N: usize>(
+        &self,
+        tool: usize,
+        places: &Places<N>,
+        velocity: &mut [[f32; N]; 2],
+        loads: &mut Loads,
+    ) {
+        let Places { point: [x, y], normal, mass } = places;
         let load = &mut loads.0[tool];
-        let tool = &self.tools[tool];
-        let surface = tool.velocity_at(point);
-        let relative = [velocity[0] - surface[0], velocity[1] - surface[1]];
-        let left = met(tool.contact, relative, normal);
-        let [x, y] = [0, 1].map(|k| f64::from(mass * (relative[k] - left[k])));
+        let Moving {
+            pose: Pose { position: [x0, y0], .. }, velocity: [u0, v0], spin, contact, ..
+        } = self.tools[tool];
+        let (mut surface, mut relative) = ([[0.0; N]; 2], [[0.0; N]; 2]);
+        for k in 0..N {
+            surface[0][k] = u0 - spin * (y[k] - y0);
+            surface[1][k] = v0 + spin * (x[k] - x0);
+            relative[0][k] = velocity[0][k] - surface[0][k];
+            relative[1][k] = velocity[1][k] - surface[1][k];
+        }
+        let left = met(contact, &relative, normal);
+        let mut given = [[0.0; N]; 4];
+        for k in 0..N {
+            let u = mass[k] * (relative[0][k] - left[0][k]);
+            let v = mass[k] * (relative[1][k] - left[1][k]);
+            given[0][k] = u;
+            given[1][k] = v;
+            given[2][k] = (x[k] - x0) * v - (y[k] - y0) * u;
+            given[3][k] = u * surface[0][k] + v * surface[1][k];
+        }
+        for k in 0..N {
+            let u = left[0][k] + surface[0][k];
+            let v = left[1][k] + surface[1][k];
+            velocity[0][k] = if mass[k] > 0.0 { u } else { velocity[0][k] };
+            velocity[1][k] = if mass[k] > 0.0 { v } else { velocity[1][k] };
+        }
+        let [x, y, angular, work] = given.each_ref().map(|given| f64::from(added_up(given)));
         load.impulse = [load.impulse[0] + x, load.impulse[1] + y];
-        let arm = [0, 1].map(|k| f64::from(point[k] - tool.pose.position[k]));
-        load.angular += arm[0] * y - arm[1] * x;
-        load.work += x * f64::from(surface[0]) + y * f64::from(surface[1]);
-        [left[0] + surface[0], left[1] + surface[1]]
+        load.angular += angular;
+        load.work += work;
     }
 
     /// The velocity of a node with the mass of so many particles: less than a cell in front of a surface, it meets that surface.
@@ -294,8 +391,11 @@ impl Barriers {
         for Posed { part, tool, .. } in self.parts.iter().filter(|posed| posed.holds(node)) {
             let faced = part.faced(node).filter(|(distance, _)| *distance < BESIDE * self.dx);
             if let Some((_, Edge { normal, .. })) = faced {
-                let place = Place { tool: *tool, point: node, normal };
-                velocity = self.met(place, velocity, particles, loads);
+                let [point, normal] = [node, normal].map(|[x, y]| [[x], [y]]);
+                let place = Places { point, normal, mass: [particles] };
+                let mut met = velocity.map(|v| [v]);
+                self.meet(*tool, &place, &mut met, loads);
+                velocity = met.map(|[v]| v);
             }
         }
         velocity
@@ -336,6 +436,22 @@ impl Barriers {
         // Between surfaces that leave no room it moves with the first that it has met.
         carried.unwrap_or(to)
     }
+}
+
+/// The sum of all numbers: of [`WAYS`], those that are half of them apart first.
+#[inline(always)]
+fn added_up<const N: usize>(numbers: &[f32; N]) -> f32 {
+    let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
+    if N != WAYS {
+        return numbers.iter().sum();
+    }
+    for k in 0..8 {
+        eight[k] = numbers[k] + numbers[k + 8];
+    }
+    for k in 0..4 {
+        four[k] = eight[k] + eight[k + 4];
+    }
+    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 /// The share of a node's kernel on its side of a straight surface at this distance (cells): the integral of the quadratic spline.

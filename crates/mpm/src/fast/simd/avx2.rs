@@ -158,10 +158,10 @@ impl Simd for Avx2 {
         })
     }
     #[inline(always)]
-    fn count(self, Mask([a, b]): Mask) -> usize {
+    fn bits(self, Mask([a, b]): Mask) -> u16 {
         // SAFETY: see the module.
-        let bits = unsafe { _mm256_movemask_ps(a) << 8 | _mm256_movemask_ps(b) };
-        bits.count_ones() as usize
+        let bits = unsafe { _mm256_movemask_ps(b) << 8 | _mm256_movemask_ps(a) };
+        bits as u16
     }
     #[inline(always)]
     fn truncate(self, Two([a, b]): Two) -> (Two, [i32; LANES]) {

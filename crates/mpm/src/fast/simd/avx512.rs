@@ -128,8 +128,8 @@ impl Simd for Avx512 {
         One(unsafe { _mm512_mask_blend_ps(mask, b, a) })
     }
     #[inline(always)]
-    fn count(self, Bits(mask): Bits) -> usize {
-        mask.count_ones() as usize
+    fn bits(self, Bits(mask): Bits) -> u16 {
+        mask
     }
     #[inline(always)]
     fn truncate(self, One(value): One) -> (One, [i32; LANES]) {

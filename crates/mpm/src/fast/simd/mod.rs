@@ -62,8 +62,13 @@ pub(super) trait Simd: Copy {
     fn equal(self, a: Self::Lanes, b: Self::Lanes) -> Self::Mask;
     /// `a` where the mask is true, else `b`.
     fn select(self, mask: Self::Mask, a: Self::Lanes, b: Self::Lanes) -> Self::Lanes;
+    /// The lanes in which the mask is true, as bits.
+    fn bits(self, mask: Self::Mask) -> u16;
     /// Number of lanes in which the mask is true.
-    fn count(self, mask: Self::Mask) -> usize;
+    #[inline(always)]
+    fn count(self, mask: Self::Mask) -> usize {
+        self.bits(mask).count_ones() as usize
+    }
     /// Where `from <= x < to`. False for NaN.
     #[inline(always)]
     fn within(self, x: Self::Lanes, [from, to]: [f32; 2]) -> Self::Mask {

@@ -98,8 +98,8 @@ impl Simd for Portable {
         Numbers(array::from_fn(|k| if mask.0[k] { a.0[k] } else { b.0[k] }))
     }
     #[inline(always)]
-    fn count(self, mask: Self::Mask) -> usize {
-        mask.0.iter().map(|&lane| usize::from(lane)).sum()
+    fn bits(self, mask: Self::Mask) -> u16 {
+        mask.0.iter().enumerate().fold(0, |bits, (lane, &is_set)| bits | u16::from(is_set) << lane)
     }
     #[inline(always)]
     fn truncate(self, value: Self::Lanes) -> (Self::Lanes, [i32; LANES]) {
