@@ -173,6 +173,7 @@ pub fn page() -> String {
         "crates/mpm/src/body.rs",
         "crates/mpm/src/shape.rs",
         "crates/mpm/src/tool",
+        "crates/frames/src/tool",
         "crates/mpm/src/flow.rs",
         "crates/frames/src/lib.rs",
     ]);
