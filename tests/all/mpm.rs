@@ -372,8 +372,8 @@ fn an_unstable_request_is_refused_before_anything_is_written() {
         (["--preset", "kinds", "--particles", "100"], ["particles: found 100", "expected 250 to "]),
         (["--preset", "fluid", "--particles", "9999999"], ["found 9999999", "to 1277500 in"]),
         (
-            ["--preset", "pour", "--particles", "1000"],
-            ["--particles: preset pour", "fixed number of particles"],
+            ["--preset", "viscous-jet", "--particles", "1000"],
+            ["--particles: preset viscous-jet", "fixed number of particles"],
         ),
     ] {
         let said = fail(2, simulate(&output, &more));

@@ -21,10 +21,10 @@ const SHIPPED: [(&str, &str); 9] = [
     ("cup", include_str!("../scenes/cup.toml")),
     ("dam-break", include_str!("../scenes/dam_break.toml")),
     ("fountain", include_str!("../scenes/fountain.toml")),
-    ("pour", include_str!("../scenes/pour.toml")),
     ("rope-on-jelly", include_str!("../scenes/rope_on_jelly.toml")),
     ("sand-column", include_str!("../scenes/sand_column.toml")),
     ("snowball", include_str!("../scenes/snowball.toml")),
+    ("viscous-jet", include_str!("../scenes/viscous_jet.toml")),
     ("wide-tank", include_str!("../scenes/wide_tank.toml")),
 ];
 
