@@ -51,7 +51,7 @@ impl Shown {
     fn read(bytes: &[u8]) -> Self {
         let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
-        assert_eq!(&bytes[..4], b"EDY\x02");
+        assert_eq!(&bytes[..4], b"EDY\x03");
         let particles = u32_at(8) as usize;
         assert_eq!(bytes.len(), HEADER + 12 * particles);
         Self {

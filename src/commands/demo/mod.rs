@@ -66,22 +66,14 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         title: format!("Predicted {AHEAD} frames ahead, beside what then happened"),
         model: Some(surrogate.digest().to_owned()),
     };
-    let endless = !args.headless && args.seconds.is_none();
-    let pushes = args.scene == DemoScene::Push;
-    let usual = if pushes && endless { SECONDS_OF_PUSHING } else { SECONDS };
-    let mut scenes = Scenes {
-        seed: args.seed,
-        seconds: args.seconds.unwrap_or(usual),
-        endless,
-        blade: pushes.then(Arc::default),
-    };
+    let mut scenes = scenes(&args);
     let first = scenes.simulation(0)?;
     let settings = node_settings(args.headless, surrogate.description(), first.scene());
     let (handle, source) = (Arc::new(NodeHandle::default()), Arc::new(PlayerHandle::default()));
     let page = (!args.headless).then(|| {
         let (node, source) = (Arc::clone(&handle), Arc::clone(&source));
-        let panel = match &scenes.blade {
-            Some(blade) => ControlPanel::of_both_and_tool(node, source, Arc::clone(blade)),
+        let panel = match scenes.blade.clone() {
+            Some(blade) => ControlPanel::of_both_and_tool(node, source, blade),
             None => ControlPanel::of_both(node, source),
         };
         let address = ListenAddress::loopback(args.port);
@@ -100,7 +92,7 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
 
     let transports = Transports::new(TransportOptions::from_env(NAME)?);
     let recorder = Recorder::new(BagWriter::create(&bag, WriterOptions::default())?, clock::wall());
-    let mut links = Links::open(&transports, recorder, pushes)?;
+    let mut links = Links::open(&transports, recorder, scenes.blade.is_some())?;
     links.source.hub = page.as_ref().map(|page| Arc::clone(page.hub()));
     links.outputs.observers.extend(page.as_ref().map(LivePage::observer));
     let live_line = stdout().is_terminal() && !args.headless && !quiet;
@@ -124,6 +116,19 @@ pub fn run(args: DemoArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
         return Ok(());
     }
     report(&node, &folder, &bag, quiet, interrupt)
+}
+
+/// The scenes that are asked for.
+fn scenes(args: &DemoArgs) -> Scenes {
+    let endless = !args.headless && args.seconds.is_none();
+    let pushes = args.scene == DemoScene::Push;
+    let usual = if pushes && endless { SECONDS_OF_PUSHING } else { SECONDS };
+    Scenes {
+        seed: args.seed,
+        seconds: args.seconds.unwrap_or(usual),
+        endless,
+        blade: pushes.then(Arc::default),
+    }
 }
 
 /// Settings of the node that predicts `scene`.

@@ -35,8 +35,7 @@ pub(super) fn run(
     // Sessions end with it, hence it lives until the last message is sent.
     let transports =
         Transports::stopped_by(interrupt.shared(), TransportOptions::from_env("eddy_simulate")?);
-    let has_tools = job.planned().iter().any(|scene| !scene.start.scene.tools.is_empty());
-    let mut topics = Topics::open(&transports, link, args, has_tools)?;
+    let mut topics = Topics::open(&transports, link, args, job)?;
     println!("publishing on {link} at {rate} x real time, simulated time on {}", topics.clock_link);
     let ready = wait_for_subscribers(link, topics.frames.as_ref(), args.wait_for, interrupt)?;
     if !ready {
@@ -111,8 +110,9 @@ impl Topics {
         transports: &Transports,
         link: &Link,
         args: &SimulateArgs,
-        has_tools: bool,
+        job: &Job,
     ) -> Result<Self, TransportError> {
+        let has_tools = job.planned().iter().any(|scene| !scene.start.scene.tools.is_empty());
         let clock_link = Link { transport: link.transport, topic: "/clock".into() };
         let open = |link: &Link, kind: &str| transports.publisher(link, kind, args.reliability);
         Ok(Self {
