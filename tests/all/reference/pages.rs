@@ -26,14 +26,9 @@ pub fn messages() -> String {
         The ament package `msgs/eddy_msgs` defines eddy's own messages. Nodes on rmw_zenoh match topics by their ROS 2 type hash \
         (RIHS01).\n"
         .to_owned();
-    for name in [
-        "ParticleFrame",
-        "PredictionStatus",
-        "ToolDescription",
-        "Tool",
-        "ToolPart",
-        "ToolFrame",
-    ] {
+    for name in
+        ["ParticleFrame", "PredictionStatus", "ToolDescription", "Tool", "ToolPart", "ToolFrame"]
+    {
         let file = root().join(format!("msgs/eddy_msgs/msg/{name}.msg"));
         let definition = fs::read_to_string(file).unwrap();
         let full = format!("eddy_msgs/msg/{name}");
