@@ -1,4 +1,5 @@
-//! Tools beside the particles of a chunk: those that may not see all of their nodes are computed one by one, as in the plain solver.
+//! Tools beside the particles of a chunk. Those that may not see all of their nodes are looked at one by one: what they have for nodes that
+//! they do not see they keep, as in the plain solver, until they gather, one by one, too.
 
 use super::{
     super::{
@@ -31,13 +32,18 @@ pub(super) struct Beside {
     /// Those that did not see all of their nodes.
     apart: Vec<Kept>,
     /// The others.
-    whole: Vec<From>,
+    whole: Vec<Start>,
 }
 
 impl Beside {
     pub(super) fn clear(&mut self) {
         self.apart.clear();
         self.whole.clear();
+    }
+
+    /// All of them, before any has gathered.
+    pub(super) fn waiting(&self) -> Waiting<'_> {
+        Waiting { apart: &self.apart, whole: &self.whole }
     }
 }
 
@@ -52,9 +58,9 @@ struct Kept {
     hidden: Hidden,
 }
 
-/// Where a particle was.
+/// Where a particle was that saw all of its nodes.
 #[derive(Clone, Copy, Debug)]
-struct From {
+struct Start {
     pack: usize,
     lane: usize,
     position: [f32; 2],
@@ -64,13 +70,7 @@ struct From {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Waiting<'a> {
     apart: &'a [Kept],
-    whole: &'a [From],
-}
-
-impl Beside {
-    pub(super) fn waiting(&self) -> Waiting<'_> {
-        Waiting { apart: &self.apart, whole: &self.whole }
-    }
+    whole: &'a [Start],
 }
 
 impl<'a> Obstacles<'a> {
@@ -173,7 +173,7 @@ impl<'a> Obstacles<'a> {
             return ALL_NODES;
         };
         if hidden.visible == ALL_NODES {
-            chunk.beside.whole.push(From { pack: number, lane, position });
+            chunk.beside.whole.push(Start { pack: number, lane, position });
         } else {
             let particle = pack.get(lane);
             chunk.beside.apart.push(Kept { pack: number, lane, particle, hidden });
