@@ -3,13 +3,9 @@
 use std::collections::{BTreeMap, btree_map::Entry};
 
 use super::{messages::Selection, reader::BagReader};
-use crate::{BagError, BagMessage};
+use crate::{BagError, BagMessage, TopicInfo};
 use eddy_frames::tool::{self, InvalidTool, Part, Tools};
-use eddy_messages::{
-    BadTool, Message, ToolDescription, ToolFrame,
-    cdr::{self, CdrError},
-    tool_topics,
-};
+use eddy_messages::{BadTool, Message, ToolDescription, ToolFrame, cdr, tool_topics};
 use serde::de::DeserializeOwned;
 
 /// The tools of a stream, and where they are at its frames.
@@ -88,15 +84,15 @@ impl BagReader {
         topic: &str,
         mut use_it: impl FnMut(M) -> Result<(), InvalidTool>,
     ) -> Result<(), BagError> {
-        let is_it = |info: &&crate::TopicInfo| info.name == topic && info.type_name == M::TYPE;
-        if self.topics().iter().find(is_it).is_none() {
+        let is_it = |info: &TopicInfo| info.name == topic && info.type_name == M::TYPE;
+        if !self.topics().iter().any(is_it) {
             return Ok(());
         }
         let topics = Some(vec![topic.into()]);
         let messages = self.select(&Selection { topics, ..Selection::default() });
         for (number, message) in messages.enumerate() {
             let BagMessage { data, .. } = message?;
-            let decoded = cdr::decode(&data).map_err(|error: CdrError| BadTool::from(error));
+            let decoded = cdr::decode(&data).map_err(BadTool::from);
             decoded.and_then(|message| Ok(use_it(message)?)).map_err(|reason| BagError::Tools {
                 path: self.path().to_owned(),
                 topic: topic.to_owned(),
