@@ -88,4 +88,4 @@ pub(super) fn advance(
 }
 
 /// The smallest share of its kernel that a particle takes for all of it.
-const LEAST_SEEN: f32 = 0.05;
+pub(super) const LEAST_SEEN: f32 = 0.05;

@@ -8,7 +8,7 @@ use super::{
     particle::Particle,
     spline::Stencil,
     step::Step,
-    tool::{Barriers, Hidden, Loads, WAYS},
+    tool::{Barriers, Hidden, Loads},
 };
 use eddy_frames::Material;
 
@@ -45,11 +45,7 @@ pub(super) fn scatter(
             let [x, y] = momentum([0, 1].map(|k| place[k] as f32 - stencil.offset[k]));
             [x / mass, y / mass - fall]
         };
-        let mut velocity = [[0.0; WAYS]; 2];
-        for (k, (place, ..)) in stencil.nodes().enumerate() {
-            [velocity[0][k], velocity[1][k]] = given(place);
-        }
-        let hidden = barriers.hidden(particle.position, &stencil, &velocity, loads);
+        let hidden = barriers.hidden(particle.position, &stencil, given, loads);
         for (place, weight, distance) in stencil.nodes() {
             if hidden.is_some_and(|hidden| !hidden.sees(place)) {
                 continue;

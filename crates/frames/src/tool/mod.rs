@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use super::Stamp;
-pub use outline::{Edge, Entries, Outline, Part};
+pub use outline::{Edge, Outline, Part};
 pub use shapes::{ForceScale, Shape, shapes};
 
 /// Maximum number of tools of a stream.

@@ -289,116 +289,49 @@ impl Part {
 
     /// Where the way from one point to another enters it: the share of the way, 0 to 1, and the surface there. A way that begins
     /// inside enters at once, through the nearest surface.
-    #[inline]
-    pub fn entered(&self, from: [f32; 2], [x, y]: [f32; 2]) -> Option<(f32, Edge)> {
-        let Entries { share: [share], normal: [[u], [v]], offset: [offset] } =
-            self.entries(from, &[[x], [y]]);
-        (share <= 1.0).then_some((share, Edge { normal: [u, v], offset }))
-    }
-
-    /// As [`Part::entered`], for ways from one point to several: their x, and their y.
-    #[inline(always)]
-    pub fn entries<const N: usize>(&self, from: [f32; 2], to: &[[f32; N]; 2]) -> Entries<N> {
+    pub fn entered(&self, from: [f32; 2], to: [f32; 2]) -> Option<(f32, Edge)> {
+        if self.distance(from) < 0.0 {
+            return Some((0.0, self.surface(from)));
+        }
         match self {
-            Self::Disc { centre, radius } => disc_entries(*centre, *radius, from, to),
-            Self::Convex { edges, .. } => {
-                let (mut found, begin_inside) = edges_entries(edges, from, to);
-                if begin_inside {
-                    let Edge { normal: [u, v], offset } = self.surface(from);
-                    (found.normal, found.offset) = ([[u; N], [v; N]], [offset; N]);
-                }
-                found
-            }
+            Self::Disc { centre, radius } => disc_entered(*centre, *radius, from, to),
+            Self::Convex { edges, .. } => edges_entered(edges, from, to),
         }
     }
 }
 
-/// Where several ways from one point enter a part.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Entries<const N: usize> {
-    /// The share of each way, 0 to 1; infinite if it does not enter.
-    pub share: [f32; N],
-    /// Outward normals of the surfaces there: their x, and their y.
-    pub normal: [[f32; N]; 2],
-    /// Offsets of these surfaces, as in [`Edge`].
-    pub offset: [f32; N],
-}
-
-impl<const N: usize> Entries<N> {
-    /// None enters.
-    pub const NONE: Self =
-        Self { share: [f32::INFINITY; N], normal: [[0.0; N]; 2], offset: [0.0; N] };
-}
-
-/// Where ways enter what lies behind all of these edges, and whether they begin there: then the surface is left out.
-///
-/// Without branches for each way, so that it can be vectorised.
-#[inline(always)]
-fn edges_entries<const N: usize>(
-    edges: &[Edge],
-    from: [f32; 2],
-    to: &[[f32; N]; 2],
-) -> (Entries<N>, bool) {
-    let mut found = Entries::NONE;
-    let mut begin_inside = true;
-    // Where the way has come behind the last edge, and where it comes in front of the first again; it begins at 0 and ends at 1.
-    let (mut first, mut last) = ([-1.0; N], [1.0; N]);
-    for &edge in edges {
-        let Edge { normal: [u, v], offset } = edge;
-        let before = edge.distance(from);
-        let begins_in_front = before >= 0.0;
-        begin_inside &= !begins_in_front;
-        for k in 0..N {
-            let after = edge.distance([to[0][k], to[1][k]]);
-            let share = before / (before - after);
-            let (enters, leaves) = match begins_in_front {
-                true => (if after < 0.0 { share } else { -1.0 }, f32::INFINITY),
-                false => (-1.0, if after >= 0.0 { share } else { f32::INFINITY }),
-            };
-            found.normal[0][k] = if enters > first[k] { u } else { found.normal[0][k] };
-            found.normal[1][k] = if enters > first[k] { v } else { found.normal[1][k] };
-            found.offset[k] = if enters > first[k] { offset } else { found.offset[k] };
-            first[k] = if enters > first[k] { enters } else { first[k] };
-            last[k] = if leaves < last[k] { leaves } else { last[k] };
-            // It stays in front.
-            last[k] = if begins_in_front && after >= 0.0 { f32::NEG_INFINITY } else { last[k] };
+/// Where a way that begins outside enters what lies behind all of these edges.
+fn edges_entered(edges: &[Edge], from: [f32; 2], to: [f32; 2]) -> Option<(f32, Edge)> {
+    // The length of the way, relative to its part in front of the last edge behind which it comes, and of the first that it leaves.
+    let (mut least, mut most, mut surface) = (f32::INFINITY, 1.0, None);
+    for edge in edges {
+        let (before, after) = (edge.distance(from), edge.distance(to));
+        let relative = 1.0 - after * (1.0 / before);
+        match (before >= 0.0, after >= 0.0) {
+            (true, true) => return None,
+            (true, false) if relative <= least => (least, surface) = (relative, Some(*edge)),
+            (false, true) => most = f32::max(most, relative),
+            (true, false) | (false, false) => {}
         }
     }
-    for k in 0..N {
-        let share = if first[k] > 0.0 { first[k] } else { 0.0 };
-        found.share[k] = if first[k] <= last[k] { share } else { f32::INFINITY };
-    }
-    (found, begin_inside)
+    surface.filter(|_| least >= most).map(|surface| (1.0 / least, surface))
 }
 
-/// Where ways enter a disc: |(x, y) + share (u, v)| = radius.
-#[inline(always)]
-#[expect(clippy::needless_range_loop, reason = "several arrays go in step, in vectors")]
-fn disc_entries<const N: usize>(
+/// Where a way that begins outside enters a disc: |(x, y) + share (u, v)| = radius.
+fn disc_entered(
     centre: [f32; 2],
     radius: f32,
     from: [f32; 2],
-    to: &[[f32; N]; 2],
-) -> Entries<N> {
+    to: [f32; 2],
+) -> Option<(f32, Edge)> {
     let [x, y] = [from[0] - centre[0], from[1] - centre[1]];
+    let [u, v] = [to[0] - from[0], to[1] - from[1]];
     let c = x * x + y * y - radius * radius;
-    let mut found = Entries::NONE;
-    for k in 0..N {
-        let [u, v] = [to[0][k] - from[0], to[1][k] - from[1]];
-        let (a, b) = (u * u + v * v, x * u + y * v);
-        let square = b * b - a * c;
-        let share = (0.0 - b - square.sqrt()) / a;
-        let enters = b < 0.0 && square >= 0.0 && share < 1.0;
-        let share = if enters { share } else { f32::INFINITY };
-        let share = if c < 0.0 { 0.0 } else { share };
-        found.share[k] = share;
-        if share <= 1.0 {
-            let Edge { normal: [p, q], offset } =
-                tangent(centre, radius, [x + share * u, y + share * v]);
-            (found.normal[0][k], found.normal[1][k], found.offset[k]) = (p, q, offset);
-        }
-    }
-    found
+    let (a, b) = (u * u + v * v, x * u + y * v);
+    let square = b * b - a * c;
+    let share = (0.0 - b - square.sqrt()) / a;
+    let enters = b < 0.0 && square >= 0.0 && share < 1.0;
+    enters.then(|| (share, tangent(centre, radius, [x + share * u, y + share * v])))
 }
 
 /// The tangent of a circle at the point that lies in this direction from its centre.

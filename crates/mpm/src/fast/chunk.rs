@@ -8,7 +8,7 @@ use std::ops::Range;
 use super::{
     super::tool::Loads,
     field::Field,
-    obstacles::Beside,
+    obstacles::Kept,
     simd::{LANES, Simd},
 };
 
@@ -45,9 +45,9 @@ pub(super) struct Chunk {
     solid: Vec<f32>,
     /// Mass times J of the liquids, with the law `settling`.
     area: Vec<f32>,
-    /// Particles that have scattered beside a tool, and the memory of those before.
-    pub(super) beside: Beside,
-    pub(super) gathered: Beside,
+    /// What packs keep that have scattered beside a tool, and memory for those of the next substep.
+    pub(super) kept: Vec<Kept>,
+    pub(super) spare: Vec<Kept>,
     /// What the tools have got from its particles.
     pub(super) loads: Loads,
     /// A particle has drifted into the last cells of the margin.
@@ -71,7 +71,7 @@ impl Chunk {
         self.inverse_dx = field.inverse_dx;
         self.drifted = false;
         self.lost = false;
-        self.beside.clear();
+        self.kept.clear();
         for axis in 0..2 {
             let last = field.sides[axis] as i32 - STENCIL;
             let around =

@@ -2,19 +2,23 @@
 
 use super::{
     super::{
+        g2p::LEAST_SEEN,
         material::Law,
         step::Step,
         water::{MAX_AREA, RELAXATION_TIME, max_area},
     },
     field::Nodes,
+    obstacles::Kept,
     pack::Pack,
+    scatter::SEEN,
     simd::{LANES, Simd},
     stencil::{Stencils, Weights},
     transfer::Scratch,
 };
 use eddy_frames::Material;
 
-/// Gathers velocities and their gradients, and advances positions.
+/// Gathers velocities and their gradients, and advances positions. Particles beside tools gather from the nodes that they see, and what
+/// they have `kept`.
 #[inline(always)]
 pub(super) fn gather<S: Simd>(
     simd: S,
@@ -23,6 +27,7 @@ pub(super) fn gather<S: Simd>(
     field: Nodes<'_>,
     step: &Step,
     scratch: &mut Scratch,
+    kept: Option<&Kept>,
 ) {
     let inverse_dx = simd.splat(step.inverse_dx);
     let position = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
@@ -37,13 +42,18 @@ pub(super) fn gather<S: Simd>(
     }
     simd.store(stencils.offset[1], &mut scratch.offset);
     if step.moduli.law.is_water() {
-        correct_area(simd, weights, pack, field, step, scratch);
+        correct_area(simd, weights, pack, field, step, scratch, kept);
     }
     let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
+    let apart = kept.map_or(0, |kept| kept.apart);
     // Unused lanes hold copies of another particle.
     for l in 0..LANES {
         let [a, b, c] = field.velocities(node[l] as usize);
-        let (a, b, c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
+        let (mut a, mut b, mut c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
+        if let (1, Some(kept)) = (apart >> l & 1, kept) {
+            let [x, y, z] = seen(simd, kept.visible[l]);
+            (a, b, c) = (a * simd.twice(x), b * simd.twice(y), c * simd.twice(z));
+        }
         let straight = simd.splat_pairs(weight[0][l]) * a
             + simd.splat_pairs(weight[1][l]) * b
             + simd.splat_pairs(weight[2][l]) * c;
@@ -59,9 +69,16 @@ pub(super) fn gather<S: Simd>(
         vectors[1][l] = sums[1];
         vectors[2][l] = sums[2];
     }
-    let velocity = simd.load_vectors(&vectors[0]);
-    let along_y = simd.load_vectors(&vectors[1]);
-    let along_x = simd.load_vectors(&vectors[2]);
+    let mut velocity = simd.load_vectors(&vectors[0]);
+    let mut along_y = simd.load_vectors(&vectors[1]);
+    let mut along_x = simd.load_vectors(&vectors[2]);
+    if let Some(kept) = kept {
+        for axis in 0..2 {
+            velocity[axis] = velocity[axis] + simd.load(&kept.velocity[axis]);
+            along_x[axis] = along_x[axis] + simd.load(&kept.moment[2 * axis]);
+            along_y[axis] = along_y[axis] + simd.load(&kept.moment[2 * axis + 1]);
+        }
+    }
     let (dt, scale) = (simd.splat(step.dt), simd.splat(4.0 * step.inverse_dx));
     for axis in 0..2 {
         simd.store(velocity[axis], &mut pack.velocity[axis]);
@@ -80,6 +97,7 @@ fn correct_area<S: Simd>(
     field: Nodes<'_>,
     step: &Step,
     scratch: &mut Scratch,
+    kept: Option<&Kept>,
 ) {
     let liquid = simd.splat(f32::from(Material::Liquid as u8));
     let liquid_lanes = simd.equal(simd.load(&pack.material), liquid);
@@ -87,9 +105,14 @@ fn correct_area<S: Simd>(
         return;
     }
     let Scratch { node, offset, weight, liquid: followed, .. } = scratch;
+    let apart = kept.map_or(0, |kept| kept.apart);
     for l in 0..LANES {
         let [a, b, c] = field.liquid(node[l] as usize);
-        let (a, b, c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
+        let (mut a, mut b, mut c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
+        if let (1, Some(kept)) = (apart >> l & 1, kept) {
+            let [x, y, z] = seen(simd, kept.visible[l]);
+            (a, b, c) = (a * x, b * y, c * z);
+        }
         let straight = simd.splat_ones(weight[0][l]) * a
             + simd.splat_ones(weight[1][l]) * b
             + simd.splat_ones(weight[2][l]) * c;
@@ -97,7 +120,17 @@ fn correct_area<S: Simd>(
     }
     let side = simd.load(&pack.deformation[0]);
     let area = side * simd.load(&pack.deformation[3]);
-    let followed = simd.load(followed);
+    let mut followed = simd.load(followed);
+    if let Some(kept) = kept {
+        let own = match step.settling {
+            Some(_) => area,
+            None => simd.splat(step.particles_per_cell) / area,
+        };
+        // As `g2p::advance`.
+        let seen = simd.load(&kept.seen);
+        let share = simd.max(seen, LEAST_SEEN);
+        followed = (followed + (share - seen) * own) / share;
+    }
     let area = if let Some(settling) = step.settling {
         let following = area + (followed - area) * simd.splat(settling.following);
         simd.min(following, max_area(Law::Settling))
@@ -110,4 +143,11 @@ fn correct_area<S: Simd>(
         let kept = simd.load(&pack.deformation[k]);
         simd.store(simd.select(liquid_lanes, side, kept), &mut pack.deformation[k]);
     }
+}
+
+/// 1 for each node of the three rows that a particle sees, else 0.
+#[inline(always)]
+fn seen<S: Simd>(simd: S, visible: u16) -> [S::Ones; 3] {
+    let row = |i: usize| usize::from(visible >> (3 * i) & 7);
+    [simd.load_ones(&SEEN[row(0)]), simd.load_ones(&SEEN[row(1)]), simd.load_ones(&SEEN[row(2)])]
 }

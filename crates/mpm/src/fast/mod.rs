@@ -10,7 +10,7 @@
 //!    ([`scatter`]).
 //! 3. [`field`]: sum the patches to the velocities of all nodes; apply gravity, tools and walls; what liquids follow.
 //!
-//! Particles that do not see all of their nodes because of tools keep a part, as in the plain solver ([`obstacles`]).
+//! Particles that do not see all of their nodes because of tools ([`sight`]) keep a part, as in the plain solver ([`obstacles`]).
 //!
 //! [`level`] selects the vector instructions at run time. The results are bit-identical for all of them and any number of
 //! threads.
@@ -27,6 +27,7 @@ mod level;
 mod obstacles;
 mod pack;
 mod scatter;
+mod sight;
 mod simd;
 mod sort;
 mod stencil;

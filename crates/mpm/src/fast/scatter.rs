@@ -69,12 +69,9 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     chunk: &mut Chunk,
     cell: &mut CellSum<S>,
 ) {
-    let Scratch { node, offset, weight, area, solid, vectors, apart, .. } = scratch;
+    let Scratch { node, offset, weight, area, solid, vectors, apart, visible, .. } = scratch;
     let [lowest, along_x, along_y] = vectors;
     for l in 0..lanes {
-        if apart >> l & 1 == 1 {
-            continue;
-        }
         let at = node[l] as usize;
         if at != cell.at {
             cell.flush::<SETTLING>(simd, chunk);
@@ -89,6 +86,23 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
         let across = weights.places * simd.repeat(&along_y[l]);
         let mut momentum = along * (simd.repeat(&lowest[l]) + across);
         let next = along * simd.repeat(&along_x[l]);
+        if apart >> l & 1 == 1 {
+            for (i, weight) in weight.iter().enumerate() {
+                let seen = simd.load_ones(&SEEN[usize::from(visible[l] >> (3 * i) & 7)]);
+                let mass = simd.splat_ones(weight[l]) * mass * seen;
+                cell.momentum[i] =
+                    cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum * simd.twice(seen);
+                cell.mass[i] = cell.mass[i] + mass;
+                if SETTLING {
+                    cell.area[i] = cell.area[i] + simd.splat_ones(area[l]) * mass;
+                }
+                if SOLIDS {
+                    cell.solid[i] = cell.solid[i] + simd.splat_ones(solid[l]) * mass;
+                }
+                momentum = momentum + next;
+            }
+            continue;
+        }
         for (i, weight) in weight.iter().enumerate() {
             cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
             cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
@@ -103,42 +117,8 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     }
 }
 
-/// Scatters a particle to the nodes that it sees only.
-#[inline(always)]
-pub(super) fn scatter_seen<S: Simd, const SETTLING: bool>(
-    simd: S,
-    weights: &Weights<S>,
-    scratch: &Scratch,
-    lane: usize,
-    visible: u16,
-    chunk: &mut Chunk,
-) {
-    let Scratch { node, offset, weight, area, solid, has_solids, vectors, .. } = scratch;
-    let [lowest, along_x, along_y] = vectors;
-    let along_x = simd.repeat(&along_x[lane]);
-    let mut velocity = simd.repeat(&lowest[lane]) + weights.places * simd.repeat(&along_y[lane]);
-    let along = weights.pairs(simd.splat_pairs(offset[lane]));
-    let mass = weights.ones(simd.splat_ones(offset[lane]));
-    let mut of_patch = CellSum::zero(simd);
-    of_patch.at = node[lane] as usize;
-    of_patch.has_solids = SETTLING && *has_solids;
-    for i in 0..3 {
-        let seen = simd.load_ones(&SEEN[usize::from(visible >> (3 * i) & 7)]);
-        let mass = simd.splat_ones(weight[i][lane]) * mass * seen;
-        of_patch.mass[i] = mass;
-        of_patch.momentum[i] =
-            simd.splat_pairs(weight[i][lane]) * along * velocity * simd.twice(seen);
-        if SETTLING {
-            of_patch.area[i] = simd.splat_ones(area[lane]) * mass;
-            of_patch.solid[i] = simd.splat_ones(solid[lane]) * mass;
-        }
-        velocity = velocity + along_x;
-    }
-    of_patch.flush::<SETTLING>(simd, chunk);
-}
-
 /// By three bits: 1 for each node of a row that a particle sees, else 0.
-const SEEN: [[f32; 4]; 8] = [
+pub(super) const SEEN: [[f32; 4]; 8] = [
     [0.0, 0.0, 0.0, 0.0],
     [1.0, 0.0, 0.0, 0.0],
     [0.0, 1.0, 0.0, 0.0],

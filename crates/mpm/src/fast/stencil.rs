@@ -6,6 +6,8 @@ use super::simd::{LANES, Simd};
 pub(super) struct Stencils<S: Simd> {
     /// Lowest node of each on x and y.
     pub(super) base: [[i32; LANES]; 2],
+    /// The same.
+    pub(super) lowest: [S::Lanes; 2],
     /// Distance from the lowest node on x and y (cells), in [0.5, 1.5).
     pub(super) offset: [S::Lanes; 2],
     /// Weights of the three rows along x.
@@ -16,20 +18,22 @@ impl<S: Simd> Stencils<S> {
     /// The stencils at positions (cells) inside the patch, see [`Chunk::takes`](super::chunk::Chunk::takes).
     #[inline(always)]
     pub(super) fn of(simd: S, cell: [S::Lanes; 2]) -> Self {
-        let (half, one) = (simd.splat(0.5), simd.splat(1.0));
+        let half = simd.splat(0.5);
         // Truncation is the floor of non-negative numbers.
         let (x, base_x) = simd.truncate(cell[0] - half);
         let (y, base_y) = simd.truncate(cell[1] - half);
         let offset = [cell[0] - x, cell[1] - y];
-        let x = offset[0];
-        let (before, after) = (simd.splat(1.5) - x, x - half);
-        let weight = [
-            half * before * before,
-            simd.splat(0.75) - (x - one) * (x - one),
-            half * after * after,
-        ];
-        Self { base: [base_x, base_y], offset, weight }
+        let weight = weights(simd, offset[0]);
+        Self { base: [base_x, base_y], lowest: [x, y], offset, weight }
     }
+}
+
+/// Weights of the three nodes along an axis at these distances from the first (cells).
+#[inline(always)]
+pub(super) fn weights<S: Simd>(simd: S, x: S::Lanes) -> [S::Lanes; 3] {
+    let (half, one) = (simd.splat(0.5), simd.splat(1.0));
+    let (before, after) = (simd.splat(1.5) - x, x - half);
+    [half * before * before, simd.splat(0.75) - (x - one) * (x - one), half * after * after]
 }
 
 /// Coefficients of the weights of the four nodes of a row at a distance `y` from the first: `c0 + y (c1 + y c2)`.

@@ -4,15 +4,15 @@
 //! All particles have the same mass, so masses and momenta are in units of it.
 
 use super::{
-    super::{step::Step, tool::ALL_NODES},
+    super::step::Step,
     chunk::Chunk,
     field::Nodes,
     gather::gather,
     law,
     level::Work,
-    obstacles::Obstacles,
+    obstacles::{Kept, Obstacles},
     pack::Pack,
-    scatter::{CellSum, prepare, scatter, scatter_seen},
+    scatter::{CellSum, prepare, scatter},
     simd::{LANES, Lanes, Simd, Vectors},
     stencil::{Stencils, Weights},
 };
@@ -35,8 +35,9 @@ pub(super) struct Scratch {
     /// 1 for solids, 0 for liquids, in a pack that has any.
     pub(super) solid: Lanes,
     pub(super) has_solids: bool,
-    /// Lanes of particles that do not see all of their nodes, which have scattered already, as bits.
+    /// The particles that do not see all of their nodes, as bits, and the nodes (i, j) that each sees, as bits 3 i + j.
     pub(super) apart: u16,
+    pub(super) visible: [u16; LANES],
     /// Three vectors per particle.
     pub(super) vectors: [Vectors; 3],
 }
@@ -52,6 +53,7 @@ impl Scratch {
         solid: [0.0; LANES],
         has_solids: false,
         apart: 0,
+        visible: [0; LANES],
         vectors: [[[0.0; 2]; LANES]; 3],
     };
 }
@@ -84,44 +86,43 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
         let mut scratch = Scratch::EMPTY;
         let mut left = chunk.particles().len();
         let near_parts: Vec<_> = match &obstacles {
-            Some(obstacles) if SCATTER => obstacles.near(chunk.bounds()).collect(),
+            Some(obstacles) if SCATTER => obstacles.near(chunk.bounds()),
             _ => Vec::new(),
         };
-        std::mem::swap(&mut chunk.beside, &mut chunk.gathered);
-        chunk.beside.clear();
-        let gathered = std::mem::take(&mut chunk.gathered);
-        let mut waiting = gathered.waiting();
+        std::mem::swap(&mut chunk.kept, &mut chunk.spare);
+        chunk.kept.clear();
+        let gathered = std::mem::take(&mut chunk.spare);
+        let mut waiting = gathered.as_slice();
         for (number, pack) in packs.iter_mut().enumerate() {
             let lanes = left.min(LANES);
             left -= lanes;
             if GATHER {
-                gather(simd, &weights, pack, field, step, &mut scratch);
-                if let Some(obstacles) = &obstacles {
-                    obstacles.gather(number, pack, lanes, &mut waiting, field, step);
+                let kept = Kept::take(&mut waiting, number);
+                let from = kept.map(|_| pack.position);
+                gather(simd, &weights, pack, field, step, &mut scratch, kept);
+                if let (Some(obstacles), Some(kept), Some(from)) = (&obstacles, kept, &from) {
+                    obstacles.resolve(simd, kept, from, pack, lanes, step);
                 }
             }
             let inverse_dx = simd.splat(step.inverse_dx);
             let [x, y] = &pack.position;
             let cell = [simd.load(x) * inverse_dx, simd.load(y) * inverse_dx];
             if !chunk.takes(simd, cell) {
-                return;
+                break;
             }
             if SCATTER {
                 let stress = law::advance(simd, pack, &step.moduli, step.dt);
                 let stencils = Stencils::of(simd, cell);
                 prepare::<S, SETTLING>(simd, pack, &stress, &stencils, chunk, step, &mut scratch);
                 if let (Some(obstacles), false) = (&obstacles, near_parts.is_empty()) {
-                    let beside =
-                        obstacles.beside(simd, pack, stencils.offset, lanes, &near_parts, step);
-                    scratch.apart = 0;
-                    for lane in (0..lanes).filter(|lane| beside >> lane & 1 == 1) {
-                        let seen = obstacles.hide(number, lane, pack, &scratch, chunk, step);
-                        if seen != ALL_NODES {
-                            scratch.apart |= 1 << lane;
-                            scatter_seen::<S, SETTLING>(
-                                simd, &weights, &scratch, lane, seen, chunk,
-                            );
-                        }
+                    let pack = (number, &*pack, lanes);
+                    let given = (&stencils, &scratch);
+                    let loads = &mut chunk.loads;
+                    let kept = obstacles.hide(simd, pack, given, &near_parts, step, loads);
+                    scratch.apart = kept.as_ref().map_or(0, |kept| kept.apart);
+                    if let Some(kept) = kept {
+                        scratch.visible = kept.visible;
+                        chunk.kept.push(kept);
                     }
                 }
                 if SETTLING && scratch.has_solids {
@@ -131,7 +132,7 @@ impl<const GATHER: bool, const SCATTER: bool, const SETTLING: bool> Work
                 }
             }
         }
-        chunk.gathered = gathered;
+        chunk.spare = gathered;
         if SCATTER {
             sum.flush::<SETTLING>(simd, chunk);
         }

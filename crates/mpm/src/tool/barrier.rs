@@ -9,12 +9,12 @@
 
 use super::{
     super::{
-        grid::{WALL_CELLS, at_walls},
+        grid::at_walls,
         matrix::Matrix2,
         spline::Stencil,
         step::Step,
     },
-    Contact, Edge, Entries, Part, Pose, ToolMotion, met,
+    Contact, Edge, Part, Pose, ToolMotion, met,
 };
 
 /// Distance from the surface at which particles end that would enter a tool (cells).
@@ -33,22 +33,22 @@ const SLIDES: usize = 4;
 /// All tools, as they are at one moment.
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct Barriers {
-    parts: Vec<Posed>,
-    tools: Vec<Moving>,
+    pub(in super::super) parts: Vec<Posed>,
+    pub(in super::super) tools: Vec<Moving>,
     /// Cell width (domain lengths).
     dx: f32,
     /// Nodes along x and y.
-    sides: [usize; 2],
+    pub(in super::super) sides: [usize; 2],
     /// Coefficient of friction at the walls of the domain.
-    wall_friction: f32,
+    pub(in super::super) wall_friction: f32,
 }
 
 /// A part of a tool.
 #[derive(Clone, Debug)]
-struct Posed {
-    part: Part,
+pub(in super::super) struct Posed {
+    pub(in super::super) part: Part,
     /// Index of its tool.
-    tool: usize,
+    pub(in super::super) tool: usize,
     /// Corners of the box beyond which it does not matter to nodes and particles, lower first.
     bounds: [[f32; 2]; 2],
 }
@@ -64,15 +64,15 @@ impl Posed {
 
 /// A tool that moves.
 #[derive(Clone, Copy, Debug)]
-struct Moving {
-    pose: Pose,
+pub(in super::super) struct Moving {
+    pub(in super::super) pose: Pose,
     /// Cosine and sine of its angle.
     direction: [f32; 2],
     /// Velocity of its position (domain lengths per s).
-    velocity: [f32; 2],
+    pub(in super::super) velocity: [f32; 2],
     /// Angular velocity (rad/s).
-    spin: f32,
-    contact: Contact,
+    pub(in super::super) spin: f32,
+    pub(in super::super) contact: Contact,
 }
 
 impl Moving {
@@ -91,16 +91,6 @@ impl Moving {
     }
 }
 
-/// Where matter meets surfaces of a tool.
-struct Places<const N: usize> {
-    /// Their x, and their y.
-    point: [[f32; N]; 2],
-    /// Outwards.
-    normal: [[f32; N]; 2],
-    /// The mass there, in units of a particle's; 0 where none meets them.
-    mass: [f32; N],
-}
-
 /// What a particle keeps of itself behind surfaces, instead of giving it to nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in super::super) struct Hidden {
@@ -112,36 +102,7 @@ pub(in super::super) struct Hidden {
     pub(in super::super) moment: Matrix2,
 }
 
-/// Ways from a particle to its nodes, and some that fill vectors.
-pub(in super::super) const WAYS: usize = 16;
-
 impl Hidden {
-    /// Of a particle at this distance from its lowest node that sees these nodes: it keeps `weight` times `velocity` at the others.
-    #[inline(always)]
-    fn of(
-        visible: u16,
-        offset: [f32; 2],
-        weight: &[f32; WAYS],
-        velocity: &[[f32; WAYS]; 2],
-    ) -> Self {
-        let mut kept = [[0.0; WAYS]; 6];
-        for k in 0..WAYS {
-            let is_kept = visible >> k & 1 == 0;
-            let weight = if is_kept { weight[k] } else { 0.0 };
-            let [x, y] = [(k / 3 % 3) as f32 - offset[0], (k % 3) as f32 - offset[1]];
-            let [u, v] = [weight * velocity[0][k], weight * velocity[1][k]];
-            (kept[0][k], kept[1][k]) = (u, v);
-            (kept[2][k], kept[3][k]) = (u * x, u * y);
-            (kept[4][k], kept[5][k]) = (v * x, v * y);
-        }
-        let mut sums = [0.0; 6];
-        for (sum, kept) in sums.iter_mut().zip(&kept) {
-            *sum = added_up(kept);
-        }
-        let [u, v, xx, xy, yx, yy] = sums;
-        Self { visible, velocity: [u, v], moment: Matrix2::new(xx, xy, yx, yy) }
-    }
-
     /// Whether it sees node (i, j) of its stencil.
     #[inline]
     pub(in super::super) fn sees(&self, [i, j]: [usize; 2]) -> bool {
@@ -223,18 +184,16 @@ impl Barriers {
         self.tools.is_empty()
     }
 
-    /// The parts that may be between nodes and particles in a box. `lower` and `upper` are its corners.
-    pub(in super::super) fn near(
-        &self,
-        [lower, upper]: [[f32; 2]; 2],
-    ) -> impl Iterator<Item = &Part> + Clone {
+    /// The numbers of the parts that may be between nodes and particles in a box. `lower` and `upper` are its corners.
+    pub(in super::super) fn near(&self, [lower, upper]: [[f32; 2]; 2]) -> Vec<usize> {
         let middle = [0, 1].map(|k| 0.5 * (lower[k] + upper[k]));
         let reach = (upper[0] - lower[0]) + (upper[1] - lower[1]) + 2.0 * SIGHT * self.dx;
-        let near = self.parts.iter().filter(move |Posed { part, bounds: [from, to], .. }| {
+        let is_near = |number: &usize| {
+            let Posed { part, bounds: [from, to], .. } = &self.parts[*number];
             let meets = (0..2).all(|axis| lower[axis] < to[axis] && upper[axis] > from[axis]);
             meets && part.distance(middle) < reach
-        });
-        near.map(|posed| &posed.part)
+        };
+        (0..self.parts.len()).filter(is_near).collect()
     }
 
     /// The nodes of a row at this x that are near tools: the range of their y (domain lengths).
@@ -245,138 +204,59 @@ impl Barriers {
         ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
     }
 
-    /// What a particle keeps behind the surfaces of tools: `velocity` is that which it would give to each node of its stencil, after
-    /// gravity: their x, and their y. `None` if it sees all of its nodes and is further than a cell from all tools. The impulses on the tools
-    /// are added to `loads`.
-    #[inline(always)]
-    #[expect(clippy::needless_range_loop, reason = "several arrays go in step, in vectors")]
+    /// What a particle keeps behind the surfaces of tools. `velocity` is that which it would give to node (i, j) of its stencil, after
+    /// gravity. `None` if it sees all of its nodes and is further than a cell from all tools. The impulses on the tools are added to
+    /// `loads`.
     pub(in super::super) fn hidden(
         &self,
         position: [f32; 2],
         stencil: &Stencil,
-        velocity: &[[f32; WAYS]; 2],
+        velocity: impl Fn([usize; 2]) -> [f32; 2],
         loads: &mut Loads,
     ) -> Option<Hidden> {
-        // In the order of their bits; the last ones are copies.
-        let mut nodes = [[0.0; WAYS]; 2];
-        for k in 0..WAYS {
-            nodes[0][k] = (stencil.base[0] + k / 3 % 3) as f32 * self.dx;
-            nodes[1][k] = (stencil.base[1] + k % 3) as f32 * self.dx;
+        let near = || self.parts.iter().filter(|posed| posed.holds(position));
+        let is_beside = near().any(|posed| posed.part.distance(position) < self.dx);
+        let mut hidden = Hidden { visible: ALL_NODES, velocity: [0.0; 2], moment: Matrix2::ZERO };
+        for (place, weight, [x, y]) in stencil.nodes() {
+            let index = [0, 1].map(|axis| stencil.base[axis] + place[axis]);
+            let node = index.map(|k| k as f32 * self.dx);
+            let met = near().filter_map(|Posed { part, tool, .. }| {
+                part.entered(position, node).map(|(share, surface)| (share, surface, *tool))
+            });
+            let first = met.reduce(|first, other| if other.0 < first.0 { other } else { first });
+            let Some((share, Edge { normal, .. }, tool)) = first else { continue };
+            hidden.visible &= !(1 << (3 * place[0] + place[1]));
+            let point = [0, 1].map(|k| position[k] + share * (node[k] - position[k]));
+            let kept = self.meet(tool, point, normal, weight, velocity(place), loads);
+            let [u, v] = at_walls(kept, index, self.sides, self.wall_friction).map(|v| weight * v);
+            hidden.velocity = [hidden.velocity[0] + u, hidden.velocity[1] + v];
+            hidden.moment = hidden.moment + Matrix2::new(u * x, u * y, v * x, v * y);
         }
-        let (first, tools, is_beside) = self.first_met(position, &nodes);
-        let mut visible = 0;
-        for k in 0..NODES {
-            visible |= u16::from(first.share[k] > 1.0) << k;
-        }
-        if visible == ALL_NODES {
-            let (velocity, moment) = ([0.0; 2], Matrix2::ZERO);
-            return is_beside.then_some(Hidden { visible, velocity, moment });
-        }
-        let mut weight = [0.0; WAYS];
-        for k in 0..NODES {
-            weight[k] = stencil.weight[0][k / 3] * stencil.weight[1][k % 3];
-        }
-        let mut kept = *velocity;
-        let mut point = [[0.0; WAYS]; 2];
-        for k in 0..WAYS {
-            let share = if first.share[k] <= 1.0 { first.share[k] } else { 1.0 };
-            point[0][k] = position[0] + share * (nodes[0][k] - position[0]);
-            point[1][k] = position[1] + share * (nodes[1][k] - position[1]);
-        }
-        for tool in 0..self.tools.len() as u32 {
-            let (mut mass, mut all) = ([0.0; WAYS], 0.0);
-            for k in 0..WAYS {
-                let is_met = first.share[k] <= 1.0 && tools[k] == tool;
-                mass[k] = if is_met { weight[k] } else { 0.0 };
-                all += mass[k];
-            }
-            if all > 0.0 {
-                let places = Places { point, normal: first.normal, mass };
-                self.meet(tool as usize, &places, &mut kept, loads);
-            }
-        }
-        let is_at_walls = (0..2).any(|axis| {
-            stencil.base[axis] < WALL_CELLS
-                || stencil.base[axis] + 2 + WALL_CELLS >= self.sides[axis]
-        });
-        if is_at_walls {
-            for k in 0..NODES {
-                let index = [stencil.base[0] + k / 3, stencil.base[1] + k % 3];
-                [kept[0][k], kept[1][k]] =
-                    at_walls([kept[0][k], kept[1][k]], index, self.sides, self.wall_friction);
-            }
-        }
-        Some(Hidden::of(visible, stencil.offset, &weight, &kept))
+        (is_beside || hidden.visible != ALL_NODES).then_some(hidden)
     }
 
-    /// The first surfaces on the ways from a particle to several points, their tools, and whether the particle is less than a cell in front
-    /// of a tool.
-    #[inline(always)]
-    fn first_met(
-        &self,
-        position: [f32; 2],
-        points: &[[f32; WAYS]; 2],
-    ) -> (Entries<WAYS>, [u32; WAYS], bool) {
-        let (mut first, mut tools, mut is_beside) = (Entries::NONE, [0; WAYS], false);
-        for posed in &self.parts {
-            if !posed.holds(position) {
-                continue;
-            }
-            let Posed { part, tool, .. } = posed;
-            is_beside |= part.distance(position) < self.dx;
-            let Entries { share, normal, .. } = part.entries(position, points);
-            for k in 0..WAYS {
-                let is_earlier = share[k] < first.share[k];
-                first.normal[0][k] = if is_earlier { normal[0][k] } else { first.normal[0][k] };
-                first.normal[1][k] = if is_earlier { normal[1][k] } else { first.normal[1][k] };
-                tools[k] = if is_earlier { *tool as u32 } else { tools[k] };
-                first.share[k] = if is_earlier { share[k] } else { first.share[k] };
-            }
-        }
-        (first, tools, is_beside)
-    }
-
-    /// The velocities of matter that has met surfaces of a tool, in place of those that it had: their x, and their y.
-    #[inline(always)]
-    fn meet<const N: usize>(
+    /// The velocity of matter that has met the surface of a tool at a point, in place of that which it had. `mass` is in units of a
+    /// particle's.
+    fn meet(
         &self,
         tool: usize,
-        places: &Places<N>,
-        velocity: &mut [[f32; N]; 2],
+        [x, y]: [f32; 2],
+        normal: [f32; 2],
+        mass: f32,
+        velocity: [f32; 2],
         loads: &mut Loads,
-    ) {
-        let Places { point: [x, y], normal, mass } = places;
+    ) -> [f32; 2] {
+        let Moving { pose, velocity: [u0, v0], spin, contact, .. } = self.tools[tool];
+        let arm = [x - pose.position[0], y - pose.position[1]];
+        let surface = [u0 - spin * arm[1], v0 + spin * arm[0]];
+        let relative = [velocity[0] - surface[0], velocity[1] - surface[1]];
+        let left = met(contact, relative, normal);
+        let [u, v] = [0, 1].map(|k| mass * (relative[k] - left[k]));
         let load = &mut loads.0[tool];
-        let Moving {
-            pose: Pose { position: [x0, y0], .. }, velocity: [u0, v0], spin, contact, ..
-        } = self.tools[tool];
-        let (mut surface, mut relative) = ([[0.0; N]; 2], [[0.0; N]; 2]);
-        for k in 0..N {
-            surface[0][k] = u0 - spin * (y[k] - y0);
-            surface[1][k] = v0 + spin * (x[k] - x0);
-            relative[0][k] = velocity[0][k] - surface[0][k];
-            relative[1][k] = velocity[1][k] - surface[1][k];
-        }
-        let left = met(contact, &relative, normal);
-        let mut given = [[0.0; N]; 4];
-        for k in 0..N {
-            let u = mass[k] * (relative[0][k] - left[0][k]);
-            let v = mass[k] * (relative[1][k] - left[1][k]);
-            given[0][k] = u;
-            given[1][k] = v;
-            given[2][k] = (x[k] - x0) * v - (y[k] - y0) * u;
-            given[3][k] = u * surface[0][k] + v * surface[1][k];
-        }
-        for k in 0..N {
-            let u = left[0][k] + surface[0][k];
-            let v = left[1][k] + surface[1][k];
-            velocity[0][k] = if mass[k] > 0.0 { u } else { velocity[0][k] };
-            velocity[1][k] = if mass[k] > 0.0 { v } else { velocity[1][k] };
-        }
-        let [x, y, angular, work] = given.each_ref().map(|given| f64::from(added_up(given)));
-        load.impulse = [load.impulse[0] + x, load.impulse[1] + y];
-        load.angular += angular;
-        load.work += work;
+        load.impulse = [load.impulse[0] + f64::from(u), load.impulse[1] + f64::from(v)];
+        load.angular += f64::from(arm[0] * v - arm[1] * u);
+        load.work += f64::from(u * surface[0] + v * surface[1]);
+        [left[0] + surface[0], left[1] + surface[1]]
     }
 
     /// The velocity of a node with the mass of so many particles: less than a cell in front of a surface, it meets that surface.
@@ -391,11 +271,7 @@ impl Barriers {
         for Posed { part, tool, .. } in self.parts.iter().filter(|posed| posed.holds(node)) {
             let faced = part.faced(node).filter(|(distance, _)| *distance < BESIDE * self.dx);
             if let Some((_, Edge { normal, .. })) = faced {
-                let [point, normal] = [node, normal].map(|[x, y]| [[x], [y]]);
-                let place = Places { point, normal, mass: [particles] };
-                let mut met = velocity.map(|v| [v]);
-                self.meet(*tool, &place, &mut met, loads);
-                velocity = met.map(|[v]| v);
+                velocity = self.meet(*tool, node, normal, particles, velocity, loads);
             }
         }
         velocity
@@ -436,22 +312,6 @@ impl Barriers {
         // Between surfaces that leave no room it moves with the first that it has met.
         carried.unwrap_or(to)
     }
-}
-
-/// The sum of all numbers: of [`WAYS`], those that are half of them apart first.
-#[inline(always)]
-fn added_up<const N: usize>(numbers: &[f32; N]) -> f32 {
-    let (mut eight, mut four) = ([0.0; 8], [0.0; 4]);
-    if N != WAYS {
-        return numbers.iter().sum();
-    }
-    for k in 0..8 {
-        eight[k] = numbers[k] + numbers[k + 8];
-    }
-    for k in 0..4 {
-        four[k] = eight[k] + eight[k + 4];
-    }
-    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 /// The share of a node's kernel on its side of a straight surface at this distance (cells): the integral of the quadratic spline.

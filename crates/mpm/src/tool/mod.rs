@@ -12,9 +12,9 @@ use super::{error::MpmError, grid::GridShape, particle::Particle, scene::Scene};
 use eddy_frames::tool as body;
 
 pub use barrier::ToolLoad;
-pub(super) use barrier::{ALL_NODES, Barriers, Hidden, Loads, WAYS};
+pub(super) use barrier::{Barriers, Hidden, Loads, Moving};
 pub use eddy_frames::tool::{Contact, MAX_TOOLS, Outline, Pose};
-use eddy_frames::tool::{Edge, Entries, Part};
+use eddy_frames::tool::{Edge, Part};
 pub use path::{Keyframe, Motion};
 
 /// A rigid body whose motion is given.
@@ -42,32 +42,22 @@ pub(super) struct ToolMotion<'a> {
     pub(super) grid: GridShape,
 }
 
-/// The velocities of matter that meets surfaces with these outward normals, relative to them: their x, and their y.
-#[inline(always)]
-fn met<const N: usize>(
-    contact: Contact,
-    relative: &[[f32; N]; 2],
-    normal: &[[f32; N]; 2],
-) -> [[f32; N]; 2] {
+/// The velocity of matter that meets a surface with this outward normal, relative to it.
+fn met(contact: Contact, relative: [f32; 2], [u, v]: [f32; 2]) -> [f32; 2] {
     let friction = match contact {
-        Contact::Sticky => return [[0.0; N]; 2],
+        Contact::Sticky => return [0.0; 2],
         Contact::Slip => 0.0,
         Contact::Friction(friction) => friction,
     };
-    let mut left = *relative;
-    // Without branches, so that it can be vectorised.
-    for k in 0..N {
-        let into = relative[0][k] * normal[0][k] + relative[1][k] * normal[1][k];
-        let x = relative[0][k] - into * normal[0][k];
-        let y = relative[1][k] - into * normal[1][k];
-        let speed = (x * x + y * y).sqrt();
-        let taken = 0.0 - friction * into;
-        let share = 1.0 - taken / speed;
-        let share = if taken >= speed { 0.0 } else { share };
-        left[0][k] = if into >= 0.0 { relative[0][k] } else { x * share };
-        left[1][k] = if into >= 0.0 { relative[1][k] } else { y * share };
+    let into = relative[0] * u + relative[1] * v;
+    if into >= 0.0 {
+        return relative;
     }
-    left
+    let along = [relative[0] - into * u, relative[1] - into * v];
+    let speed = (along[0] * along[0] + along[1] * along[1]).sqrt();
+    let taken = 0.0 - friction * into;
+    let share = if taken >= speed { 0.0 } else { 1.0 - taken / speed };
+    along.map(|x| x * share)
 }
 
 /// Checks the tools of a scene, without its bodies.
@@ -185,9 +175,7 @@ mod tests {
 
     #[test]
     fn contact_keeps_slides_or_rubs() {
-        let of = |contact: Contact, [x, y]: [f32; 2]| {
-            met(contact, &[[x], [y]], &[[0.0], [1.0]]).map(|[v]| v)
-        };
+        let of = |contact: Contact, relative: [f32; 2]| met(contact, relative, [0.0, 1.0]);
         let leaves = |contact: Contact| of(contact, [3.0, 2.0]);
         let met = |contact: Contact| of(contact, [3.0, -2.0]);
         assert_eq!(met(Contact::Sticky), [0.0, 0.0]);
