@@ -2,12 +2,13 @@
 //!
 //!     cargo run --release -p eddy-mpm --example tool_cost
 //!
-//! A pool of 20,000 particles, and two blades that move through it, wholly in matter, or above it without touching anything. Scenes
-//! take turns, frame by frame, so that what else the machine does hits all of them; the least time of each frame counts.
+//! A pool of 20,000 particles, and two blades that move through it, wholly in matter, or above it without touching anything. Each frame is
+//! computed with the blades, and from the same particles without them, in turn, so that what else the machine does hits both; the least
+//! time of each frame counts.
 
 use eddy_frames::{Material, clock::Clock};
 use eddy_mpm::{
-    Body, Contact, Keyframe, MpmError, Outline, Scene, Settings, Shape, Simulation, Tool,
+    Body, Contact, Interval, Keyframe, MpmError, Outline, Scene, Settings, Shape, Simulation, Tool,
 };
 
 /// Cells on a side of the domain.
@@ -67,41 +68,44 @@ fn begun(scene: Scene) -> Result<Simulation, MpmError> {
     Ok(simulation)
 }
 
-fn main() -> Result<(), MpmError> {
-    println!("time per substep (us) of {} particles", POOL[0] * POOL[1]);
-    println!("material  no tools  above  within  above/none  within/none");
-    for material in [Material::Liquid, Material::Sand, Material::Snow] {
-        let starts = [None, Some(0.75), Some(0.12)].map(|height| begun(scene(material, height)));
-        let starts: Vec<Simulation> = starts.into_iter().collect::<Result<_, _>>()?;
-        let mut least = vec![Vec::new(); starts.len()];
+/// The mean time per substep (us) with tools, and without them.
+fn times(mut with: Simulation, without: &Simulation) -> Result<[f64; 2], MpmError> {
+    let (mut times, mut substeps) = ([0.0; 2], 0.0);
+    while let Some(interval) = with.next_interval() {
+        let bare = Interval { motions: Vec::new(), ..interval.clone() };
+        let mut least = [f64::INFINITY; 2];
         for _ in 0..ROUNDS {
-            let mut running = starts.clone();
-            for frame in 0.. {
-                let mut goes_on = true;
-                for (simulation, least) in running.iter_mut().zip(&mut least) {
-                    let clock = Clock::start();
-                    goes_on &= simulation.next_frame()?.is_some();
-                    let time = clock.now().as_secs_f64();
-                    match least.get_mut(frame) {
-                        Some(known) => *known = f64::min(*known, time),
-                        None => least.push(time),
-                    }
-                }
-                if !goes_on {
-                    break;
-                }
+            let mut solvers = [with.solver().clone(), without.solver().clone()];
+            let particles = with.solver().particles().to_vec();
+            solvers[1].set_particles(particles).expect("they are in the domain");
+            for ((solver, interval), least) in
+                solvers.iter_mut().zip([&interval, &bare]).zip(&mut least)
+            {
+                let clock = Clock::start();
+                solver.advance(interval, &|| false).expect("enough substeps");
+                *least = least.min(clock.now().as_secs_f64());
             }
         }
-        let substeps = f64::from(starts[0].substeps_per_frame());
-        let mean =
-            |times: &Vec<f64>| times.iter().sum::<f64>() / times.len() as f64 / substeps * 1e6;
-        let [none, above, within] = [0, 1, 2].map(|k| mean(&least[k]));
-        println!(
-            "{:8}  {none:8.1}  {above:5.1}  {within:6.1}  {:10.3}  {:11.3}",
-            material.name(),
-            above / none,
-            within / none
-        );
+        (0..2).for_each(|k| times[k] += least[k]);
+        substeps += f64::from(interval.substeps);
+        with.next_frame()?;
+    }
+    Ok(times.map(|time| time / substeps * 1e6))
+}
+
+fn main() -> Result<(), MpmError> {
+    println!("time per substep (us) of {} particles", POOL[0] * POOL[1]);
+    println!("material  blades  without  with  ratio");
+    for material in [Material::Liquid, Material::Sand, Material::Snow] {
+        let without = Simulation::new(scene(material, None), &Settings::default())?;
+        for (place, height) in [("above", 0.75), ("within", 0.12)] {
+            let [with, bare] = times(begun(scene(material, Some(height)))?, &without)?;
+            println!(
+                "{:8}  {place:6}  {bare:7.1}  {with:5.1}  {:5.3}",
+                material.name(),
+                with / bare
+            );
+        }
     }
     Ok(())
 }

@@ -95,6 +95,13 @@ impl Chunk {
         }
     }
 
+    /// Begins to keep what packs have beside tools in this substep, and returns what they have kept in the one before.
+    pub(super) fn begin_to_keep(&mut self) -> Vec<Kept> {
+        let before = std::mem::replace(&mut self.kept, std::mem::take(&mut self.spare));
+        self.kept.clear();
+        before
+    }
+
     /// Range of its particles.
     pub(super) fn particles(&self) -> Range<usize> {
         self.range.clone()

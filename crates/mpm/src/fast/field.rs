@@ -228,7 +228,9 @@ impl Forces {
         let [rows, columns] = self.sides;
         let at_wall = |index: usize, side: usize| index < WALL_CELLS || index + WALL_CELLS >= side;
         let rubs = |column| self.friction > 0.0 && (at_wall(row, rows) || at_wall(column, columns));
-        let beside = |column| near.filter(|near| near.columns.contains(&column));
+        // Tools do not meet nodes without mass.
+        let beside =
+            |column| near.filter(|near| near.columns.contains(&column) && sum.mass[column] > 0.0);
         let visited = match near {
             Some(near) if self.friction == 0.0 => near.columns.clone(),
             _ => all,
@@ -301,7 +303,7 @@ impl Work for Update<'_> {
                 let open = match &near {
                     Some(Near { barriers, columns }) => {
                         sum.open[from..to].copy_from_slice(&areas.open[1][from..to]);
-                        for column in columns.clone() {
+                        for column in columns.clone().filter(|&column| sum.mass[column] > 0.0) {
                             let node = [row, column].map(|k| k as f32 * forces.dx);
                             sum.open[column] *= barriers.open(node);
                         }

@@ -10,7 +10,7 @@ use super::{
     field::Nodes,
     obstacles::Kept,
     pack::Pack,
-    scatter::SEEN,
+    scatter::seen_of_row,
     simd::{LANES, Simd},
     stencil::{Stencils, Weights},
     transfer::Scratch,
@@ -26,8 +26,7 @@ pub(super) fn gather<S: Simd>(
     pack: &mut Pack,
     field: Nodes<'_>,
     step: &Step,
-    scratch: &mut Scratch,
-    kept: Option<&Kept>,
+    (scratch, kept): (&mut Scratch, Option<&Kept>),
 ) {
     let inverse_dx = simd.splat(step.inverse_dx);
     let position = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
@@ -42,17 +41,17 @@ pub(super) fn gather<S: Simd>(
     }
     simd.store(stencils.offset[1], &mut scratch.offset);
     if step.moduli.law.is_water() {
-        correct_area(simd, weights, pack, field, step, scratch, kept);
+        correct_area(simd, weights, pack, field, step, (scratch, kept));
     }
     let Scratch { node, offset, weight, moment, vectors, .. } = scratch;
-    let apart = kept.map_or(0, |kept| kept.apart);
     // Unused lanes hold copies of another particle.
     for l in 0..LANES {
         let [a, b, c] = field.velocities(node[l] as usize);
         let (mut a, mut b, mut c) = (simd.load_pairs(a), simd.load_pairs(b), simd.load_pairs(c));
-        if let (1, Some(kept)) = (apart >> l & 1, kept) {
-            let [x, y, z] = seen(simd, kept.visible[l]);
-            (a, b, c) = (a * simd.twice(x), b * simd.twice(y), c * simd.twice(z));
+        if let Some(kept) = kept {
+            a = a * simd.twice(seen_of_row(simd, kept.visible[l], 0));
+            b = b * simd.twice(seen_of_row(simd, kept.visible[l], 1));
+            c = c * simd.twice(seen_of_row(simd, kept.visible[l], 2));
         }
         let straight = simd.splat_pairs(weight[0][l]) * a
             + simd.splat_pairs(weight[1][l]) * b
@@ -96,8 +95,7 @@ fn correct_area<S: Simd>(
     pack: &mut Pack,
     field: Nodes<'_>,
     step: &Step,
-    scratch: &mut Scratch,
-    kept: Option<&Kept>,
+    (scratch, kept): (&mut Scratch, Option<&Kept>),
 ) {
     let liquid = simd.splat(f32::from(Material::Liquid as u8));
     let liquid_lanes = simd.equal(simd.load(&pack.material), liquid);
@@ -105,13 +103,13 @@ fn correct_area<S: Simd>(
         return;
     }
     let Scratch { node, offset, weight, liquid: followed, .. } = scratch;
-    let apart = kept.map_or(0, |kept| kept.apart);
     for l in 0..LANES {
         let [a, b, c] = field.liquid(node[l] as usize);
         let (mut a, mut b, mut c) = (simd.load_ones(a), simd.load_ones(b), simd.load_ones(c));
-        if let (1, Some(kept)) = (apart >> l & 1, kept) {
-            let [x, y, z] = seen(simd, kept.visible[l]);
-            (a, b, c) = (a * x, b * y, c * z);
+        if let Some(kept) = kept {
+            a = a * seen_of_row(simd, kept.visible[l], 0);
+            b = b * seen_of_row(simd, kept.visible[l], 1);
+            c = c * seen_of_row(simd, kept.visible[l], 2);
         }
         let straight = simd.splat_ones(weight[0][l]) * a
             + simd.splat_ones(weight[1][l]) * b
@@ -143,11 +141,4 @@ fn correct_area<S: Simd>(
         let kept = simd.load(&pack.deformation[k]);
         simd.store(simd.select(liquid_lanes, side, kept), &mut pack.deformation[k]);
     }
-}
-
-/// 1 for each node of the three rows that a particle sees, else 0.
-#[inline(always)]
-fn seen<S: Simd>(simd: S, visible: u16) -> [S::Ones; 3] {
-    let row = |i: usize| usize::from(visible >> (3 * i) & 7);
-    [simd.load_ones(&SEEN[row(0)]), simd.load_ones(&SEEN[row(1)]), simd.load_ones(&SEEN[row(2)])]
 }

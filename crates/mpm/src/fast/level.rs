@@ -63,20 +63,22 @@ impl Level {
 }
 
 #[cfg(target_arch = "x86_64")]
-mod x86 {
+pub(super) mod x86 {
     use super::{
         super::simd::{Avx2, Avx512},
         Work,
     };
 
     #[target_feature(enable = "avx2")]
-    pub(super) fn avx2<W: Work>(work: W) -> W::Output {
+    #[inline(never)]
+    pub(in super::super) fn avx2<W: Work>(work: W) -> W::Output {
         // SAFETY: the target feature is enabled.
         work.run(unsafe { Avx2::assume() })
     }
 
     #[target_feature(enable = "avx2,avx512f,avx512vl")]
-    pub(super) fn avx512<W: Work>(work: W) -> W::Output {
+    #[inline(never)]
+    pub(in super::super) fn avx512<W: Work>(work: W) -> W::Output {
         // SAFETY: the target features are enabled.
         work.run(unsafe { Avx512::assume() })
     }

@@ -45,10 +45,9 @@ use eddy_threads::{DisjointSlice, ThreadPool, share};
 
 use chunk::Chunk;
 use field::{Field, Forces, Nodes, Sum, Update};
-use obstacles::Obstacles;
 use pack::Pack;
 use sort::Packs;
-use transfer::Pass;
+use transfer::{Around, pass};
 use watch::Search;
 
 use super::{
@@ -216,18 +215,18 @@ impl Fast {
             for substep in 0..most {
                 let now = &barriers[substep as usize];
                 let before = &barriers[substep.saturating_sub(1) as usize];
-                let obstacles = Obstacles::of([before, now]);
                 // SAFETY: each chunk, with its packs, belongs to one thread; no thread writes nodes.
                 let (mine, velocity, liquid) = unsafe {
                     let mine = chunks.part(share(parts, thread, threads));
                     (mine, velocities.read(0..velocities.len()), liquids.read(0..liquids.len()))
                 };
                 let field = Nodes { velocity, liquid, stride };
+                let around = Around { field, step, barriers: [before, now] };
                 for chunk in mine {
                     // SAFETY: as above; the packs of different chunks are different.
                     let packs = unsafe { packs.part(chunk.packs()) };
                     let gathers = substep > 0 || !gathered;
-                    scatter(level, gathers, chunk, packs, field, step, obstacles);
+                    scatter(level, gathers, chunk, packs, around);
                 }
                 barrier.wait();
                 // SAFETY: no thread writes chunks before the next barrier.
@@ -269,16 +268,16 @@ impl Fast {
 
     /// Gathers the velocities of the nodes: the end of the last substep, in which tools move as in `barriers`.
     fn finish(&mut self, step: &Step, barriers: [&Barriers; 2], loads: &mut Loads) {
-        let obstacles = Obstacles::of(barriers);
         // With tools the margin is wide enough for this substep.
-        if obstacles.is_none() && self.chunks.iter().any(|chunk| chunk.drifted) {
+        if barriers[1].is_empty() && self.chunks.iter().any(|chunk| chunk.drifted) {
             self.sort(step, 1);
         }
         let Field { velocity, liquid, stride, .. } = &self.field;
         let field = Nodes { velocity, liquid, stride: *stride };
+        let around = Around { field, step, barriers };
         for chunk in &mut self.chunks {
             let packs = &mut self.packs.packs[chunk.packs()];
-            self.level.run(Pass::<true, false, false> { chunk, packs, field, step, obstacles });
+            pass::<true, false, false>(self.level, chunk, packs, around);
             loads.add(&chunk.loads);
         }
         self.field.loads.iter().for_each(|of_row| loads.add(of_row));
@@ -301,25 +300,12 @@ impl Fast {
 }
 
 /// Runs a pass over a chunk that scatters; if it does not gather, the particles have their velocities already.
-fn scatter(
-    level: Level,
-    gathers: bool,
-    chunk: &mut Chunk,
-    packs: &mut [Pack],
-    field: Nodes<'_>,
-    step: &Step,
-    obstacles: Option<Obstacles<'_>>,
-) {
-    macro_rules! run {
-        ($gather:literal, $settling:literal) => {
-            level.run(Pass::<$gather, true, $settling> { chunk, packs, field, step, obstacles })
-        };
-    }
-    match (gathers, step.settling.is_some()) {
-        (false, false) => run!(false, false),
-        (false, true) => run!(false, true),
-        (true, false) => run!(true, false),
-        (true, true) => run!(true, true),
+fn scatter(level: Level, gathers: bool, chunk: &mut Chunk, packs: &mut [Pack], around: Around<'_>) {
+    match (gathers, around.step.settling.is_some()) {
+        (false, false) => pass::<false, true, false>(level, chunk, packs, around),
+        (false, true) => pass::<false, true, true>(level, chunk, packs, around),
+        (true, false) => pass::<true, true, false>(level, chunk, packs, around),
+        (true, true) => pass::<true, true, true>(level, chunk, packs, around),
     }
 }
 

@@ -5,32 +5,28 @@ use super::{
     super::{
         grid::{WALL_CELLS, at_walls},
         step::Step,
-        tool::{Barriers, Loads, MAX_TOOLS, Moving},
+        tool::{Barriers, Loads, MAX_TOOLS, Moving, Posed},
     },
+    field::Nodes,
+    gather::gather,
+    level::Work,
     pack::Pack,
-    sight::{NODES, Surfaces, Ways, beside, may_enter},
-    simd::{LANES, Lanes, Simd},
-    stencil::{Stencils, weights},
+    sight::{NODES, Surfaces, Ways, beside, choose, may_enter, near},
+    simd::{LANES, Lanes, Simd, Vectors},
+    stencil::{Stencils, Weights, weights},
     transfer::Scratch,
 };
 use eddy_frames::tool::Contact;
-
-/// The tools in a pass.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Obstacles<'a> {
-    /// Where they were when particles have scattered, and where they are when they have moved.
-    barriers: [&'a Barriers; 2],
-}
 
 /// What the particles of a pack keep that have scattered beside tools.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     /// The pack in its chunk.
-    pack: usize,
+    pub(super) pack: usize,
     /// The particles that are beside a tool, as bits.
     beside: u16,
     /// Those of them that do not see all of their nodes.
-    pub(super) apart: u16,
+    apart: u16,
     /// The nodes that each sees, as bits 3 i + j.
     pub(super) visible: [u16; LANES],
     /// The sum of the weights of these nodes.
@@ -71,67 +67,107 @@ impl Kept {
     }
 }
 
-impl<'a> Obstacles<'a> {
-    /// `None` if there are no tools.
-    pub(super) fn of(barriers: [&'a Barriers; 2]) -> Option<Self> {
-        (!barriers[1].is_empty()).then_some(Self { barriers })
-    }
+/// Finds for each pack whether particles may be beside a tool after their next motion.
+pub(super) struct NearTools<'a> {
+    pub(super) packs: &'a [Pack],
+    pub(super) parts: &'a [Posed],
+    /// The numbers of the parts near the chunk.
+    pub(super) near: &'a [usize],
+    pub(super) step: &'a Step,
+}
 
-    /// The numbers of the parts that may be between nodes and particles in a box with these corners, lower first.
-    pub(super) fn near(&self, bounds: [[f32; 2]; 2]) -> Vec<usize> {
-        self.barriers[1].near(bounds)
-    }
+impl Work for NearTools<'_> {
+    type Output = Vec<bool>;
 
-    /// Puts the particles of a pack that were beside a tool out of it, where they have moved into it from these positions. Unused lanes stay
-    /// copies of the first.
     #[inline(always)]
-    pub(super) fn resolve<S: Simd>(
-        &self,
-        simd: S,
-        kept: &Kept,
-        from: &[Lanes; 2],
-        pack: &mut Pack,
-        lanes: usize,
-        step: &Step,
-    ) {
-        let [before, after] = self.barriers;
-        let of = |place: &[Lanes; 2]| [simd.load(&place[0]), simd.load(&place[1])];
+    fn run<S: Simd>(self, simd: S) -> Vec<bool> {
+        let mut is_near = vec![false; self.packs.len()];
+        for (pack, is_near) in self.packs.iter().zip(&mut is_near) {
+            let position = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
+            for &index in self.near {
+                *is_near |= near(simd, &self.parts[index].part, position, self.step.dx) != 0;
+            }
+        }
+        is_near
+    }
+}
+
+/// Gathers velocities for a pack, as [`gather`], of which some particles were beside a tool, and puts these out of the tools into which they
+/// have moved.
+pub(super) struct GatherSeen<'a> {
+    pub(super) pack: &'a mut Pack,
+    pub(super) lanes: usize,
+    pub(super) kept: &'a Kept,
+    pub(super) field: Nodes<'a>,
+    pub(super) step: &'a Step,
+    /// The tools where they were when particles have scattered, and where they are when they have moved.
+    pub(super) barriers: [&'a Barriers; 2],
+}
+
+impl Work for GatherSeen<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { pack, lanes, kept, field, step, barriers: [before, after] } = self;
+        let from = pack.position;
+        let mut scratch = Scratch::EMPTY;
+        gather(simd, &Weights::new(simd), pack, field, step, (&mut scratch, Some(kept)));
+        let start = [simd.load(&from[0]), simd.load(&from[1])];
+        let end = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
         let mut entering = 0;
         for (old, new) in before.parts.iter().zip(&after.parts) {
-            let parts = [&old.part, &new.part];
-            entering |= may_enter(simd, parts, of(from), of(&pack.position), step.dx);
+            entering |= may_enter(simd, [&old.part, &new.part], start, end, step.dx);
         }
-        entering &= kept.beside;
-        for lane in (0..lanes).filter(|lane| entering >> lane & 1 == 1) {
-            let [start, end] = [from, &pack.position].map(|place| place.map(|along| along[lane]));
+        for lane in lanes_of(entering & kept.beside) {
+            let [start, end] = [&from, &pack.position].map(|place| place.map(|along| along[lane]));
             let [x, y] = after.resolved(before, start, end);
             (pack.position[0][lane], pack.position[1][lane]) = (x, y);
         }
+        // Unused lanes stay copies of the first.
         for lane in lanes..LANES {
             pack.set(lane, &pack.get(0), pack.index[0]);
         }
     }
+}
 
-    /// Keeps what the particles of a pack have for nodes that they do not see. `near` are the parts near the chunk. `None` if none is beside
-    /// a tool.
+/// The lanes whose bits are set.
+fn lanes_of(bits: u16) -> impl Iterator<Item = usize> {
+    (0..LANES).filter(move |lane| bits >> lane & 1 == 1)
+}
+
+/// Keeps what the particles of a pack have for nodes that they do not see. Returns the nodes (i, j) that each sees, as bits 3 i + j, unless all
+/// see all.
+pub(super) struct Hide<'a> {
+    /// The pack in its chunk.
+    pub(super) number: usize,
+    pub(super) pack: &'a Pack,
+    pub(super) lanes: usize,
+    /// What each gives to its nodes, as `scatter::prepare` leaves it.
+    pub(super) given: [Vectors; 3],
+    pub(super) barriers: &'a Barriers,
+    /// The numbers of the parts near the chunk.
+    pub(super) near: &'a [usize],
+    pub(super) step: &'a Step,
+    pub(super) loads: &'a mut Loads,
+    pub(super) kept: &'a mut Vec<Kept>,
+}
+
+impl Work for Hide<'_> {
+    type Output = Option<[u16; LANES]>;
+
     #[inline(always)]
-    pub(super) fn hide<S: Simd>(
-        &self,
-        simd: S,
-        (number, pack, lanes): (usize, &Pack, usize),
-        (stencils, scratch): (&Stencils<S>, &Scratch),
-        near: &[usize],
-        step: &Step,
-        loads: &mut Loads,
-    ) -> Option<Kept> {
-        let [_, now] = self.barriers;
+    fn run<S: Simd>(self, simd: S) -> Option<[u16; LANES]> {
+        let Self { number, pack, lanes, given, barriers, near, step, loads, kept: all } = self;
         let from = [simd.load(&pack.position[0]), simd.load(&pack.position[1])];
-        let ways = Ways::new(simd, from, stencils, step.dx);
-        let (mut is_beside, mut tools) = (0, 0u32);
+        let inverse_dx = simd.splat(step.inverse_dx);
+        let stencils = Stencils::of(simd, [from[0] * inverse_dx, from[1] * inverse_dx]);
+        let ways = Ways::new(simd, from, &stencils, step.dx);
+        let (mut is_beside, mut tools) = (0, 0);
         let mut surfaces = Surfaces::none(simd);
         for &index in near {
-            let posed = &now.parts[index];
-            let found = beside(simd, &posed.part, &ways, step.dx);
+            let posed = &barriers.parts[index];
+            let found = beside(simd, &posed.part, &ways);
             if found != 0 {
                 surfaces.meet(simd, &ways, &posed.part, posed.tool);
                 is_beside |= found;
@@ -142,114 +178,147 @@ impl<'a> Obstacles<'a> {
         if is_beside == 0 {
             return None;
         }
-        let mut kept = Kept::nothing(number, is_beside);
+        all.push(Kept::nothing(number, is_beside));
+        let kept = all.last_mut()?;
         let is_used = simd.less(simd.load(&NUMBERS), simd.splat(lanes as f32));
         let mut hidden = [0; NODES];
-        for k in 0..NODES {
-            hidden[k] = simd.bits(simd.at_least(simd.splat(1.0), surfaces.share[k]) & is_used);
-            kept.apart |= hidden[k];
+        for (share, hidden) in surfaces.share.iter_mut().zip(&mut hidden) {
+            let is_met = simd.at_least(simd.splat(1.0), *share) & is_used;
+            *share = simd.select(is_met, *share, simd.splat(f32::INFINITY));
+            *hidden = simd.bits(is_met);
+            kept.apart |= *hidden;
         }
-        if kept.apart != 0 {
-            for lane in 0..LANES {
-                for (k, hidden) in hidden.iter().enumerate() {
-                    kept.visible[lane] &= !((hidden >> lane & 1) << k);
-                }
-            }
-            let share = surfaces.share;
-            for k in 0..NODES {
-                let is_met = simd.at_least(simd.splat(1.0), share[k]) & is_used;
-                surfaces.share[k] = simd.select(is_met, share[k], simd.splat(f32::INFINITY));
-            }
-            let met = Met { ways: &ways, surfaces: &surfaces, hidden: &hidden, tools };
-            met.keep(simd, now, stencils, scratch, step, (&mut kept, loads));
+        if kept.apart == 0 {
+            return None;
         }
-        Some(kept)
+        for lane in lanes_of(kept.apart) {
+            for (k, hidden) in hidden.iter().enumerate() {
+                kept.visible[lane] &= !((hidden >> lane & 1) << k);
+            }
+        }
+        let met = Met { stencils, ways, surfaces, hidden, tools };
+        met.keep(simd, barriers, &given, step, (kept, loads));
+        Some(kept.visible)
     }
 }
 
 /// What hides nodes of the particles of a pack.
-struct Met<'a, S: Simd> {
-    ways: &'a Ways<S>,
-    surfaces: &'a Surfaces<S>,
+struct Met<S: Simd> {
+    stencils: Stencils<S>,
+    ways: Ways<S>,
+    surfaces: Surfaces<S>,
     /// The particles that do not see each node, as bits.
-    hidden: &'a [u16; NODES],
+    hidden: [u16; NODES],
     /// The tools that may be in between, as bits.
     tools: u32,
 }
 
-impl<S: Simd> Met<'_, S> {
+/// What sixteen particles keep.
+struct Sums<S: Simd> {
+    /// Of weights.
+    weight: S::Lanes,
+    velocity: [S::Lanes; 2],
+    moment: [S::Lanes; 4],
+}
+
+impl<S: Simd> Met<S> {
     /// Adds what particles keep, and what it has given to tools.
     #[inline(always)]
     fn keep(
         &self,
         simd: S,
         barriers: &Barriers,
-        stencils: &Stencils<S>,
-        scratch: &Scratch,
+        [lowest, along_x, along_y]: &[Vectors; 3],
         step: &Step,
         (kept, loads): (&mut Kept, &mut Loads),
     ) {
-        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
-        let [lowest, along_x, along_y] = [0, 1, 2].map(|k| simd.load_vectors(&scratch.vectors[k]));
-        let (from, offset) = (self.ways.from, stencils.offset);
-        let across = weights(simd, offset[1]);
-        let is_at_walls = is_at_walls(&stencils.base, barriers.sides);
+        let zero = simd.splat(0.0);
+        let lowest = simd.load_vectors(lowest);
+        let (along_x, along_y) = (simd.load_vectors(along_x), simd.load_vectors(along_y));
+        let across = weights(simd, self.stencils.offset[1]);
+        let is_at_walls = is_at_walls(&self.stencils.base, barriers.sides);
         let mut given = [[zero; 4]; MAX_TOOLS];
-        let (mut unseen, mut velocity_sum, mut moment) = (zero, [zero; 2], [zero; 4]);
+        let mut sums = Sums { weight: zero, velocity: [zero; 2], moment: [zero; 4] };
         for k in 0..NODES {
             if self.hidden[k] == 0 {
                 continue;
             }
-            let place = [simd.splat((k / 3) as f32), simd.splat((k % 3) as f32)];
-            let is_hidden = simd.at_least(one, self.surfaces.share[k]);
-            let share = simd.select(is_hidden, self.surfaces.share[k], zero);
-            let weight = simd.select(is_hidden, stencils.weight[k / 3] * across[k % 3], zero);
-            let (mut velocity, mut point) = ([zero; 2], [zero; 2]);
-            let node = [self.ways.to[0][k / 3], self.ways.to[1][k % 3]];
-            for axis in 0..2 {
-                velocity[axis] = lowest[axis] + place[0] * along_x[axis] + place[1] * along_y[axis];
-                point[axis] = from[axis] + share * (node[axis] - from[axis]);
-            }
-            velocity[1] = velocity[1] - simd.splat(step.fall);
-            for tool in 0..barriers.tools.len() {
-                if self.tools >> tool & 1 == 0 {
-                    continue;
-                }
-                let is_met = is_hidden & simd.equal(self.surfaces.tool[k], simd.splat(tool as f32));
-                let mass = simd.select(is_met, weight, zero);
-                let moving = &barriers.tools[tool];
-                let normal = self.surfaces.normal[k];
-                let met = meet(simd, moving, point, normal, (mass, velocity), &mut given[tool]);
-                for axis in 0..2 {
-                    velocity[axis] = simd.select(is_met, met[axis], velocity[axis]);
-                }
-            }
+            let (i, j) = (simd.splat((k / 3) as f32), simd.splat((k % 3) as f32));
+            let mut velocity = [
+                lowest[0] + i * along_x[0] + j * along_y[0],
+                lowest[1] + i * along_x[1] + j * along_y[1] - simd.splat(step.fall),
+            ];
+            let is_hidden = simd.at_least(simd.splat(1.0), self.surfaces.share[k]);
+            let weight = self.stencils.weight[k / 3] * across[k % 3];
+            let weight = simd.select(is_hidden, weight, zero);
+            velocity = self.meet(simd, barriers, k, (weight, velocity), &mut given);
             if is_at_walls {
-                velocity = at_walls_one_by_one(simd, velocity, k, &stencils.base, barriers);
+                velocity = at_walls_one_by_one(simd, velocity, k, &self.stencils.base, barriers);
             }
-            unseen = unseen + weight;
-            for axis in 0..2 {
-                let product = weight * velocity[axis];
-                velocity_sum[axis] = velocity_sum[axis] + product;
-                for along in 0..2 {
-                    let distance = place[along] - offset[along];
-                    moment[2 * axis + along] = moment[2 * axis + along] + product * distance;
-                }
+            sums.add(weight, velocity, [i - self.ways.offset[0], j - self.ways.offset[1]]);
+        }
+        sums.store(simd, kept);
+        for (tool, given) in given.iter().enumerate() {
+            if self.tools >> tool & 1 == 1 {
+                let load = &mut loads.0[tool];
+                load.impulse[0] += added_up(simd, given[0]);
+                load.impulse[1] += added_up(simd, given[1]);
+                load.angular += added_up(simd, given[2]);
+                load.work += added_up(simd, given[3]);
             }
         }
-        simd.store(one - unseen, &mut kept.seen);
-        for axis in 0..2 {
-            simd.store(velocity_sum[axis], &mut kept.velocity[axis]);
+    }
+
+    /// The velocities for node `k` after matter with this weight and velocity has met the surfaces.
+    #[inline(always)]
+    fn meet(
+        &self,
+        simd: S,
+        barriers: &Barriers,
+        k: usize,
+        (weight, mut velocity): (S::Lanes, [S::Lanes; 2]),
+        given: &mut [[S::Lanes; 4]; MAX_TOOLS],
+    ) -> [S::Lanes; 2] {
+        let zero = simd.splat(0.0);
+        let Self { ways, surfaces, tools, .. } = self;
+        let is_hidden = simd.at_least(simd.splat(1.0), surfaces.share[k]);
+        let share = simd.select(is_hidden, surfaces.share[k], zero);
+        let point = [
+            ways.from[0] + share * (ways.to[0][k / 3] - ways.from[0]),
+            ways.from[1] + share * (ways.to[1][k % 3] - ways.from[1]),
+        ];
+        for (tool, moving) in barriers.tools.iter().enumerate() {
+            if tools >> tool & 1 == 1 {
+                let is_met = is_hidden & simd.equal(surfaces.tool[k], simd.splat(tool as f32));
+                let mass = simd.select(is_met, weight, zero);
+                let normal = surfaces.normal[k];
+                let met = meet(simd, moving, point, normal, (mass, velocity), &mut given[tool]);
+                velocity = choose(simd, is_met, met, velocity);
+            }
         }
-        for (moment, kept) in moment.into_iter().zip(&mut kept.moment) {
-            simd.store(moment, kept);
+        velocity
+    }
+}
+
+impl<S: Simd> Sums<S> {
+    /// Adds what is at nodes at this distance (cells).
+    #[inline(always)]
+    fn add(&mut self, weight: S::Lanes, [u, v]: [S::Lanes; 2], [x, y]: [S::Lanes; 2]) {
+        let (u, v) = (weight * u, weight * v);
+        self.weight = self.weight + weight;
+        self.velocity = [self.velocity[0] + u, self.velocity[1] + v];
+        let [a, b, c, d] = self.moment;
+        self.moment = [a + u * x, b + u * y, c + v * x, d + v * y];
+    }
+
+    #[inline(always)]
+    fn store(self, simd: S, kept: &mut Kept) {
+        simd.store(simd.splat(1.0) - self.weight, &mut kept.seen);
+        for (sum, kept) in self.velocity.into_iter().zip(&mut kept.velocity) {
+            simd.store(sum, kept);
         }
-        for (tool, given) in given.iter().enumerate().take(barriers.tools.len()) {
-            let [x, y, angular, work] = given.map(|lanes| added_up(simd, lanes));
-            let load = &mut loads.0[tool];
-            load.impulse = [load.impulse[0] + x, load.impulse[1] + y];
-            load.angular += angular;
-            load.work += work;
+        for (sum, kept) in self.moment.into_iter().zip(&mut kept.moment) {
+            simd.store(sum, kept);
         }
     }
 }
@@ -303,10 +372,7 @@ fn met<S: Simd>(
     let taken = zero - simd.splat(friction) * into;
     let share = simd.select(simd.at_least(taken, speed), zero, one - taken / speed);
     let leaves = simd.at_least(into, zero);
-    [
-        simd.select(leaves, relative[0], along[0] * share),
-        simd.select(leaves, relative[1], along[1] * share),
-    ]
+    choose(simd, leaves, relative, [along[0] * share, along[1] * share])
 }
 
 /// Whether any of these stencils has nodes at the walls of the domain.

@@ -4,6 +4,7 @@ use super::{
     super::step::Step,
     chunk::Chunk,
     law,
+    level::Work,
     pack::Pack,
     simd::{LANES, Simd},
     stencil::{Stencils, Weights},
@@ -59,17 +60,18 @@ pub(super) fn prepare<S: Simd, const SETTLING: bool>(
     }
 }
 
-/// Scatters the particles of a pack; those of solids with `SOLIDS` only, with the law `settling`.
+/// Scatters the particles of a pack; those of solids with `SOLIDS` only, with the law `settling`; to nodes that are `visible` only, if
+/// this is given: the nodes (i, j) that each sees, as bits 3 i + j.
 #[inline(always)]
 pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     simd: S,
     weights: &Weights<S>,
-    scratch: &Scratch,
-    lanes: usize,
+    (scratch, lanes): (&Scratch, usize),
+    visible: Option<&[u16; LANES]>,
     chunk: &mut Chunk,
     cell: &mut CellSum<S>,
 ) {
-    let Scratch { node, offset, weight, area, solid, vectors, apart, visible, .. } = scratch;
+    let Scratch { node, offset, weight, area, solid, vectors, .. } = scratch;
     let [lowest, along_x, along_y] = vectors;
     for l in 0..lanes {
         let at = node[l] as usize;
@@ -86,25 +88,13 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
         let across = weights.places * simd.repeat(&along_y[l]);
         let mut momentum = along * (simd.repeat(&lowest[l]) + across);
         let next = along * simd.repeat(&along_x[l]);
-        if apart >> l & 1 == 1 {
-            for (i, weight) in weight.iter().enumerate() {
-                let seen = simd.load_ones(&SEEN[usize::from(visible[l] >> (3 * i) & 7)]);
-                let mass = simd.splat_ones(weight[l]) * mass * seen;
-                cell.momentum[i] =
-                    cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum * simd.twice(seen);
-                cell.mass[i] = cell.mass[i] + mass;
-                if SETTLING {
-                    cell.area[i] = cell.area[i] + simd.splat_ones(area[l]) * mass;
-                }
-                if SOLIDS {
-                    cell.solid[i] = cell.solid[i] + simd.splat_ones(solid[l]) * mass;
-                }
-                momentum = momentum + next;
-            }
-            continue;
-        }
         for (i, weight) in weight.iter().enumerate() {
-            cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * momentum;
+            let (mut of_row, mut mass) = (momentum, mass);
+            if let Some(visible) = visible {
+                let seen = seen_of_row(simd, visible[l], i);
+                (of_row, mass) = (momentum * simd.twice(seen), mass * seen);
+            }
+            cell.momentum[i] = cell.momentum[i] + simd.splat_pairs(weight[l]) * of_row;
             cell.mass[i] = cell.mass[i] + simd.splat_ones(weight[l]) * mass;
             if SETTLING {
                 cell.area[i] = cell.area[i] + simd.splat_ones(weight[l] * area[l]) * mass;
@@ -117,8 +107,40 @@ pub(super) fn scatter<S: Simd, const SETTLING: bool, const SOLIDS: bool>(
     }
 }
 
+/// Scatters the particles of a pack to the nodes that they see only.
+pub(super) struct ScatterSeen<'a, const SETTLING: bool> {
+    pub(super) scratch: Scratch,
+    pub(super) lanes: usize,
+    /// The nodes (i, j) that each sees, as bits 3 i + j.
+    pub(super) visible: [u16; LANES],
+    pub(super) chunk: &'a mut Chunk,
+}
+
+impl<const SETTLING: bool> Work for ScatterSeen<'_, SETTLING> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { scratch, lanes, visible, chunk } = self;
+        let (weights, mut sum) = (&Weights::new(simd), CellSum::zero(simd));
+        let (of, visible) = ((&scratch, lanes), Some(&visible));
+        if SETTLING && scratch.has_solids {
+            scatter::<S, true, true>(simd, weights, of, visible, chunk, &mut sum);
+        } else {
+            scatter::<S, SETTLING, false>(simd, weights, of, visible, chunk, &mut sum);
+        }
+        sum.flush::<SETTLING>(simd, chunk);
+    }
+}
+
+/// 1 for each node of row `i` that a particle sees, else 0.
+#[inline(always)]
+pub(super) fn seen_of_row<S: Simd>(simd: S, visible: u16, i: usize) -> S::Ones {
+    simd.load_ones(&SEEN[usize::from(visible >> (3 * i) & 7)])
+}
+
 /// By three bits: 1 for each node of a row that a particle sees, else 0.
-pub(super) const SEEN: [[f32; 4]; 8] = [
+const SEEN: [[f32; 4]; 8] = [
     [0.0, 0.0, 0.0, 0.0],
     [1.0, 0.0, 0.0, 0.0],
     [0.0, 1.0, 0.0, 0.0],

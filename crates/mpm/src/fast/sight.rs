@@ -19,19 +19,20 @@ pub(super) struct Ways<S: Simd> {
     pub(super) offset: [S::Lanes; 2],
     /// x of the nodes (i, 0), and y of the nodes (0, j).
     pub(super) to: [[S::Lanes; 3]; 2],
+    /// Cell width (domain lengths).
+    dx: f32,
 }
 
 impl<S: Simd> Ways<S> {
     #[inline(always)]
     pub(super) fn new(simd: S, from: [S::Lanes; 2], stencils: &Stencils<S>, dx: f32) -> Self {
         let mut to = [[simd.splat(0.0); 3]; 2];
-        for axis in 0..2 {
-            for k in 0..3 {
-                let index = stencils.lowest[axis] + simd.splat(k as f32);
-                to[axis][k] = index * simd.splat(dx);
+        for (to, lowest) in to.iter_mut().zip(stencils.lowest) {
+            for (k, to) in to.iter_mut().enumerate() {
+                *to = (lowest + simd.splat(k as f32)) * simd.splat(dx);
             }
         }
-        Self { from, offset: stencils.offset, to }
+        Self { from, offset: stencils.offset, to, dx }
     }
 }
 
@@ -69,10 +70,29 @@ impl<S: Simd> Surfaces<S> {
             let is_first = simd.less(others.share[k], self.share[k]);
             self.share[k] = simd.select(is_first, others.share[k], self.share[k]);
             self.tool[k] = simd.select(is_first, tool, self.tool[k]);
-            for axis in 0..2 {
-                let (normal, other) = (self.normal[k][axis], others.normal[k][axis]);
-                self.normal[k][axis] = simd.select(is_first, other, normal);
+            self.normal[k] = choose(simd, is_first, others.normal[k], self.normal[k]);
+        }
+    }
+}
+
+/// The particles that may not see all of their nodes because of this part, or are less than a cell in front of it, after they have moved by
+/// less than a cell, as bits.
+#[inline(always)]
+pub(super) fn near<S: Simd>(simd: S, part: &Part, [x, y]: [S::Lanes; 2], dx: f32) -> u16 {
+    let reach = (FARTHEST_NODE + 1.0 + ROUNDING) * dx;
+    match part {
+        Part::Disc { centre, radius } => {
+            let (u, v) = (x - simd.splat(centre[0]), y - simd.splat(centre[1]));
+            let reach = radius + reach;
+            simd.bits(simd.less(u * u + v * v, simd.splat(reach * reach)))
+        }
+        Part::Convex { edges, .. } => {
+            // Loops: the closures of iterators are not compiled for these instructions.
+            let mut bits = u16::MAX;
+            for edge in edges {
+                bits &= simd.bits(simd.less(distance(simd, edge, [x, y]), simd.splat(reach)));
             }
+            bits
         }
     }
 }
@@ -80,8 +100,8 @@ impl<S: Simd> Surfaces<S> {
 /// The particles that may not see all of their nodes because of this part, or are less than a cell in front of it, as bits: those for which
 /// none of its surfaces has all nodes in front of it.
 #[inline(always)]
-pub(super) fn beside<S: Simd>(simd: S, part: &Part, ways: &Ways<S>, dx: f32) -> u16 {
-    let ([x, y], offset) = (ways.from, ways.offset);
+pub(super) fn beside<S: Simd>(simd: S, part: &Part, ways: &Ways<S>) -> u16 {
+    let ([x, y], dx) = (ways.from, ways.dx);
     match part {
         Part::Disc { centre, radius } => {
             let (u, v) = (x - simd.splat(centre[0]), y - simd.splat(centre[1]));
@@ -89,27 +109,27 @@ pub(super) fn beside<S: Simd>(simd: S, part: &Part, ways: &Ways<S>, dx: f32) -> 
             simd.bits(simd.less(u * u + v * v, simd.splat(reach * reach)))
         }
         Part::Convex { edges, .. } => {
-            // Loops: the closures of iterators are not compiled for these instructions.
             let mut bits = u16::MAX;
             for edge in edges {
-                let [u, v] = edge.normal;
-                let back = backwards(simd, u, offset[0]) + backwards(simd, v, offset[1]);
-                let back = simd.max(back, 1.0) + simd.splat(ROUNDING);
-                let distance = distance(simd, edge, [x, y]);
-                bits &= simd.bits(simd.less(distance, back * simd.splat(dx)));
+                let reach = simd.max(reach(simd, edge.normal, ways.offset), 1.0);
+                let reach = (reach + simd.splat(ROUNDING)) * simd.splat(dx);
+                bits &= simd.bits(simd.less(distance(simd, edge, [x, y]), reach));
             }
             bits
         }
     }
 }
 
-/// How far behind a particle its nodes reach along one component of a normal (cells).
+/// How far the nodes of particles at these distances from their lowest nodes reach against a normal (cells).
 #[inline(always)]
-fn backwards<S: Simd>(simd: S, normal: f32, offset: S::Lanes) -> S::Lanes {
-    match normal > 0.0 {
-        true => simd.splat(normal) * offset,
-        false => simd.splat(normal) * (offset - simd.splat(2.0)),
+fn reach<S: Simd>(simd: S, normal: [f32; 2], offset: [S::Lanes; 2]) -> S::Lanes {
+    let mut reach = simd.splat(0.0);
+    for axis in 0..2 {
+        let farthest = if normal[axis] > 0.0 { 0.0 } else { 2.0 };
+        let farthest = offset[axis] - simd.splat(farthest);
+        reach = reach + simd.splat(normal[axis]) * farthest;
     }
+    reach
 }
 
 /// The particles whose ways from one position to another may enter a part that moves meanwhile, as bits.
@@ -141,6 +161,17 @@ pub(super) fn may_enter<S: Simd>(
     }
 }
 
+/// `a` where the mask is true, else `b`.
+#[inline(always)]
+pub(super) fn choose<S: Simd>(
+    simd: S,
+    mask: S::Mask,
+    a: [S::Lanes; 2],
+    b: [S::Lanes; 2],
+) -> [S::Lanes; 2] {
+    [simd.select(mask, a[0], b[0]), simd.select(mask, a[1], b[1])]
+}
+
 /// [`Edge::distance`].
 #[inline(always)]
 fn distance<S: Simd>(simd: S, edge: &Edge, [x, y]: [S::Lanes; 2]) -> S::Lanes {
@@ -161,34 +192,38 @@ fn of_edges<S: Simd>(simd: S, edges: &[Edge], ways: &Ways<S>) -> Surfaces<S> {
         let before = distance(simd, edge, ways.from);
         let is_nearer = simd.less(depth, before);
         depth = simd.select(is_nearer, before, depth);
-        for axis in 0..2 {
-            nearest[axis] = simd.select(is_nearer, normal[axis], nearest[axis]);
+        nearest = choose(simd, is_nearer, normal, nearest);
+        let (begins_in_front, begins_behind) =
+            (simd.at_least(before, zero), simd.less(before, zero));
+        let reach = reach(simd, edge.normal.map(|x| -x), ways.offset) + simd.splat(ROUNDING);
+        let farthest = before + reach * simd.splat(ways.dx);
+        if simd.bits(simd.at_least(farthest, zero)) == 0 {
+            // All nodes of all particles are behind it.
+            continue;
         }
-        let (begins_in_front, begins_behind) = (simd.at_least(before, zero), simd.less(before, zero));
         let inverse = one / before;
         for k in 0..NODES {
             let [x, y] = [normal[0] * ways.to[0][k / 3], normal[1] * ways.to[1][k % 3]];
             let after = x + y - simd.splat(edge.offset);
             let relative = one - after * inverse;
             let ends_in_front = simd.at_least(after, zero);
-            let enters = begins_in_front & simd.less(after, zero) & simd.at_least(least[k], relative);
+            let enters =
+                begins_in_front & simd.less(after, zero) & simd.at_least(least[k], relative);
             least[k] = simd.select(enters, relative, least[k]);
             least[k] = simd.select(begins_in_front & ends_in_front, never, least[k]);
             let leaves = begins_behind & ends_in_front & simd.less(most[k], relative);
             most[k] = simd.select(leaves, relative, most[k]);
-            for axis in 0..2 {
-                found.normal[k][axis] = simd.select(enters, normal[axis], found.normal[k][axis]);
-            }
+            found.normal[k] = choose(simd, enters, normal, found.normal[k]);
         }
     }
     let begins_inside = simd.less(depth, zero);
+    let some_begin_inside = simd.bits(begins_inside) != 0;
     for k in 0..NODES {
         let enters = simd.at_least(least[k], most[k]);
-        let share = simd.select(enters, one / least[k], simd.splat(f32::INFINITY));
-        found.share[k] = simd.select(begins_inside, zero, share);
-        for axis in 0..2 {
-            let normal = found.normal[k][axis];
-            found.normal[k][axis] = simd.select(begins_inside, nearest[axis], normal);
+        found.share[k] = simd.select(enters, one / least[k], simd.splat(f32::INFINITY));
+        if some_begin_inside {
+            found.share[k] = simd.select(begins_inside, zero, found.share[k]);
+            found.normal[k] = choose(simd, begins_inside, nearest, found.normal[k]);
         }
     }
     found
@@ -216,10 +251,8 @@ fn of_disc<S: Simd>(simd: S, centre: [f32; 2], radius: f32, ways: &Ways<S>) -> S
         let points_outwards = is_met & simd.less(zero, length);
         // Upwards at the centre.
         let upwards = [zero, simd.select(is_met, one, zero)];
-        for axis in 0..2 {
-            let normal = point[axis] / length;
-            found.normal[k][axis] = simd.select(points_outwards, normal, upwards[axis]);
-        }
+        let outwards = [point[0] / length, point[1] / length];
+        found.normal[k] = choose(simd, points_outwards, outwards, upwards);
         found.share[k] = share;
     }
     found

@@ -8,12 +8,7 @@
 //! After the compatible particle-in-cell method (CPIC) of Hu et al. 2018, section 5, which marks the sides of nodes and particles instead.
 
 use super::{
-    super::{
-        grid::at_walls,
-        matrix::Matrix2,
-        spline::Stencil,
-        step::Step,
-    },
+    super::{grid::at_walls, matrix::Matrix2, spline::Stencil, step::Step},
     Contact, Edge, Part, Pose, ToolMotion, met,
 };
 

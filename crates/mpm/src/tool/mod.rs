@@ -12,7 +12,7 @@ use super::{error::MpmError, grid::GridShape, particle::Particle, scene::Scene};
 use eddy_frames::tool as body;
 
 pub use barrier::ToolLoad;
-pub(super) use barrier::{Barriers, Hidden, Loads, Moving};
+pub(super) use barrier::{Barriers, Hidden, Loads, Moving, Posed};
 pub use eddy_frames::tool::{Contact, MAX_TOOLS, Outline, Pose};
 use eddy_frames::tool::{Edge, Part};
 pub use path::{Keyframe, Motion};

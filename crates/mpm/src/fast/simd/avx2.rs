@@ -8,7 +8,10 @@ use std::{
     ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
 };
 
-use super::{LANES, Lanes, Simd, Vectors};
+use super::{
+    super::level::{Work, x86},
+    LANES, Lanes, Simd, Vectors,
+};
 
 /// AVX2.
 #[derive(Clone, Copy, Debug)]
@@ -83,6 +86,11 @@ impl Simd for Avx2 {
     type Pairs = Pairs;
     type Ones = Ones;
 
+    #[inline(always)]
+    fn run<W: Work>(self, work: W) -> W::Output {
+        // SAFETY: see the module.
+        unsafe { x86::avx2(work) }
+    }
     #[inline(always)]
     fn splat(self, number: f32) -> Two {
         // SAFETY: see the module.

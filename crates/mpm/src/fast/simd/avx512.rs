@@ -9,6 +9,7 @@ use std::{
 };
 
 use super::{
+    super::level::{Work, x86},
     LANES, Lanes, Simd, Vectors,
     avx2::{Avx2, operator},
 };
@@ -64,6 +65,11 @@ impl Simd for Avx512 {
     type Pairs = <Avx2 as Simd>::Pairs;
     type Ones = <Avx2 as Simd>::Ones;
 
+    #[inline(always)]
+    fn run<W: Work>(self, work: W) -> W::Output {
+        // SAFETY: see the module.
+        unsafe { x86::avx512(work) }
+    }
     #[inline(always)]
     fn splat(self, number: f32) -> One {
         // SAFETY: see the module.

@@ -17,6 +17,8 @@ mod portable;
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
+use super::level::Work;
+
 #[cfg(target_arch = "x86_64")]
 pub(super) use {avx2::Avx2, avx512::Avx512};
 
@@ -41,6 +43,9 @@ pub(super) trait Simd: Copy {
     type Pairs: Arithmetic + Div<Output = Self::Pairs>;
     /// One number for each of four neighbouring nodes.
     type Ones: Arithmetic;
+
+    /// Runs a computation in a function of its own, which takes no registers from the caller.
+    fn run<W: Work>(self, work: W) -> W::Output;
 
     /// The same number in all lanes.
     fn splat(self, number: f32) -> Self::Lanes;

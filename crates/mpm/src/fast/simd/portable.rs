@@ -5,7 +5,7 @@ use std::{
     ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
 };
 
-use super::{LANES, Lanes, Simd, Vectors};
+use super::{super::level::Work, LANES, Lanes, Simd, Vectors};
 
 /// The baseline instructions of the architecture.
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +57,10 @@ impl Simd for Portable {
     type Pairs = Numbers<8>;
     type Ones = Numbers<4>;
 
+    #[inline(never)]
+    fn run<W: Work>(self, work: W) -> W::Output {
+        work.run(self)
+    }
     #[inline(always)]
     fn splat(self, number: f32) -> Self::Lanes {
         Numbers([number; LANES])
