@@ -6,7 +6,7 @@ use crate::{
     palette::{FORCE, Rgb, TOOL},
 };
 
-/// Corners of a disc that is drawn as triangles.
+/// Corners of the polygon that a disc is drawn as.
 const DISC_CORNERS: usize = 40;
 
 /// Width of an arrow's shaft, width and length of its head (share of the arrow's greatest length).
@@ -21,17 +21,17 @@ pub struct Shape {
     pub color: Rgb,
 }
 
-impl Shape {
-    /// Triangles that cover it where it may be seen in a domain, three corners each, as shares of the domain's width and height.
-    pub fn triangles(&self, Domain { lower, upper }: Domain) -> Vec<[f32; 2]> {
-        let corners = match &self.part {
-            Part::Disc { centre: [x, y], radius } => (0..DISC_CORNERS)
+impl Part {
+    /// Corners of a polygon that covers it where it may be seen in a domain, in order (domain lengths).
+    pub fn polygon(&self, Domain { lower, upper }: Domain) -> Vec<[f32; 2]> {
+        match self {
+            Self::Disc { centre: [x, y], radius } => (0..DISC_CORNERS)
                 .map(|k| {
                     let angle = k as f32 * (2.0 * std::f32::consts::PI / DISC_CORNERS as f32);
                     [x + radius * angle.cos(), y + radius * angle.sin()]
                 })
                 .collect(),
-            Part::Convex { edges, corners } if corners.is_empty() => {
+            Self::Convex { edges, corners } if corners.is_empty() => {
                 let far = 2.0 * (upper[0] - lower[0]).hypot(upper[1] - lower[1]);
                 let ([u, v], middle) =
                     (edges[0].normal, [0, 1].map(|k| 0.5 * (lower[k] + upper[k])));
@@ -41,8 +41,15 @@ impl Shape {
                     .map(|(along, out)| [x + along * v + out * u, y - along * u + out * v])
                     .to_vec()
             }
-            Part::Convex { corners, .. } => corners.clone(),
-        };
+            Self::Convex { corners, .. } => corners.clone(),
+        }
+    }
+}
+
+impl Shape {
+    /// Triangles that cover it where it may be seen in a domain, three corners each, as shares of the domain's width and height.
+    pub fn triangles(&self, domain: Domain) -> Vec<[f32; 2]> {
+        let (corners, Domain { lower, upper }) = (self.part.polygon(domain), domain);
         let share = |point: [f32; 2]| [0, 1].map(|k| (point[k] - lower[k]) / (upper[k] - lower[k]));
         let fan = corners.windows(2).skip(1);
         fan.flat_map(|pair| [corners[0], pair[0], pair[1]]).map(share).collect()
