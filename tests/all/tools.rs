@@ -157,6 +157,38 @@ fn a_description_that_changes_is_found_and_the_frames_are_drawn_without_tools() 
 }
 
 #[test]
+fn tools_are_exported_as_polygons_and_trivial_predictors_know_them() {
+    let world = World::new("tools-out");
+    let bag = pushed(&world);
+    let (vtu, report) = (world.folder.path().join("vtu"), world.folder.path().join("report"));
+    let [bag, vtu_path, report_path] = [&bag, &vtu, &report].map(|path| path.to_str().unwrap());
+    succeed(["bag", "export", bag, "--format", "vtu", "--output", vtu_path]);
+    let collection = std::fs::read_to_string(vtu.join("stream_0000.pvd")).unwrap();
+    let polygons = |frame: usize| format!("stream_0000/{frame:06}.vtp");
+    for frame in 0..FRAMES {
+        assert!(collection.contains(&format!("part=\"1\" file=\"{}\"", polygons(frame))));
+        let text = std::fs::read_to_string(vtu.join(polygons(frame))).unwrap();
+        assert!(text.contains("NumberOfPolys=\"1\"") && text.contains("Name=\"force\""), "{text}");
+    }
+    succeed([
+        "eval",
+        "--data",
+        bag,
+        "--checkpoint",
+        "particle-mingru",
+        "--horizon",
+        "5",
+        "--output",
+        report_path,
+    ]);
+    let report = std::fs::read_to_string(report.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let predictors = report["predictors"].as_array().unwrap();
+    let names: Vec<_> = predictors.iter().filter_map(|one| one["name"].as_str()).collect();
+    assert!(names.contains(&"carried by the tool"), "{names:?}");
+}
+
+#[test]
 fn a_scene_whose_tool_cannot_be_is_refused_and_leaves_nothing() {
     let world = World::new("tools");
     let [scene, output] = ["scene.toml", "out"].map(|name| world.folder.path().join(name));

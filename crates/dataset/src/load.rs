@@ -122,11 +122,14 @@ pub(super) fn load(
         (a.id, &a.source, a.first_sequence).cmp(&(b.id, &b.source, b.first_sequence))
     });
     skip_unusable(&mut partials, &mut skipped, skip_streams)?;
+    let tools = bags.iter().map(|bag| bag.tools(TRUTH_TOPIC));
+    let mut tools = tools.collect::<Result<Vec<_>, _>>()?;
     let mut gravity = Vec::with_capacity(partials.len());
     for PartialStream { stream, location, .. } in &mut partials {
         let stated = quantities.of(location.bag, &stream.source, stream.id);
         stream.stiffness = stated.stiffness;
         gravity.push(stated.gravity);
+        stream.tools = tools[location.bag].remove(&stream.id).map(Arc::new);
     }
     let with_gravity = |(mut stream, gravity): (Trajectory, _)| {
         stream.gravity = gravity;

@@ -1,8 +1,12 @@
 //! One trajectory in memory.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
-use eddy_frames::{Domain, Frame, Material, Stamp, State};
+use eddy_bag::RecordedTools;
+use eddy_frames::{Domain, Frame, Material, Stamp, State, tool::Sweep};
 
 /// Consecutive frames of one simulated trajectory.
 #[derive(Clone, Debug)]
@@ -23,6 +27,8 @@ pub struct Stream {
     pub first_stamp: Stamp,
     /// Young's modulus of its materials, if it is known (density x velocity^2).
     pub stiffness: Option<f32>,
+    /// Its tools, if it has any.
+    pub tools: Option<Arc<RecordedTools>>,
     /// The states, `dt` apart.
     pub states: Vec<State>,
 }
@@ -39,6 +45,7 @@ impl Stream {
             first_sequence: frame.sequence,
             first_stamp: frame.stamp,
             stiffness: None,
+            tools: None,
             states: vec![State { position: frame.position, velocity: frame.velocity }],
         }
     }
@@ -60,6 +67,11 @@ impl Stream {
     /// The materials that occur.
     pub fn materials(&self) -> Vec<Material> {
         Material::ALL.into_iter().filter(|material| self.material.contains(material)).collect()
+    }
+
+    /// How its tools move from state `index` to the next, as [`RecordedTools::sweep`]; `None` without tools.
+    pub fn sweep(&self, index: usize) -> Option<Sweep> {
+        self.tools.as_ref()?.sweep(self.first_sequence + index as u64, self.dt)
     }
 
     /// State `index` as a frame.

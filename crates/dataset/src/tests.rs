@@ -34,6 +34,7 @@ fn stream(id: u64) -> Stream {
         first_sequence: 0,
         first_stamp: Stamp(0),
         stiffness: None,
+        tools: None,
         states: (0..FRAMES)
             .map(|frame| State { position: position(frame), velocity: velocity.clone() })
             .collect(),

@@ -7,7 +7,8 @@ use sha2::{Digest, Sha256};
 use super::{
     DatasetError, FrameStore, Stream, add_to_digest, begin_digest, hex, statistics::Bounds,
 };
-use eddy_frames::{Domain, Material, Stamp, State};
+use eddy_bag::RecordedTools;
+use eddy_frames::{Domain, Material, Stamp, State, tool::Sweep};
 use eddy_inference::engine::{Stated, StreamSetup};
 
 /// Consecutive frames of one simulated trajectory, in memory or on disk.
@@ -32,6 +33,8 @@ pub struct Trajectory {
     pub stiffness: Option<f32>,
     /// Gravity along y, negative is down, if it is known (domain lengths per second squared): from the same places.
     pub gravity: Option<f32>,
+    /// Its tools, if it has any.
+    pub tools: Option<Arc<RecordedTools>>,
     /// Number of frames.
     pub frames: usize,
     /// Bounding box of its positions (domain lengths).
@@ -70,7 +73,16 @@ impl Trajectory {
         storage: Storage,
     ) -> Self {
         let Stream {
-            id, source, dt, domain, material, first_sequence, first_stamp, stiffness, ..
+            id,
+            source,
+            dt,
+            domain,
+            material,
+            first_sequence,
+            first_stamp,
+            stiffness,
+            tools,
+            ..
         } = stream;
         Self {
             id,
@@ -82,6 +94,7 @@ impl Trajectory {
             first_stamp,
             stiffness,
             gravity: None,
+            tools,
             frames,
             bounds,
             rest: Arc::new(rest),
@@ -119,6 +132,11 @@ impl Trajectory {
             Storage::Disk(store, number) => store.visit(*number, frames, &mut look)?,
         }
         Ok(())
+    }
+
+    /// As [`Stream::sweep`].
+    pub fn sweep(&self, frame: usize) -> Option<Sweep> {
+        self.tools.as_ref()?.sweep(self.first_sequence + frame as u64, self.dt)
     }
 
     /// What is known of it at its beginning.
@@ -172,6 +190,7 @@ impl Trajectory {
             first_sequence: self.first_sequence + start as u64,
             first_stamp: self.first_stamp.advance(self.dt, start as u32),
             stiffness: self.stiffness,
+            tools: self.tools.clone(),
             states,
         })
     }

@@ -58,12 +58,14 @@ pub struct Context {
     pub units: Units,
     /// Mean x, y, vx, vy of the first model's training data (domain lengths, domain lengths per second).
     pub mean: [f32; 4],
+    /// Whether there are tools, so that particles may be carried.
+    pub has_tools: bool,
     /// The fit to the first model's training data, if its checkpoint has one.
     pub linear_fit: Option<LinearFit>,
 }
 
 impl Context {
-    /// Takes interval, gravity and error units from the first model. `domain` is the streams' domain: a particle
+    /// Takes interval, gravity and error units from the first model. Without tools. `domain` is the streams' domain: a particle
     /// model may have been trained in another one.
     pub fn new(
         settings: Settings,
@@ -83,6 +85,7 @@ impl Context {
             spacing,
             units: units(&first.normalization),
             mean: first.normalization.mean,
+            has_tools: false,
             linear_fit: first.training.linear_fit.map(|rows| LinearFit { rows }),
         }
     }
@@ -90,7 +93,9 @@ impl Context {
     /// The predictors that every evaluation has beside its models: the baselines of skill first.
     pub(super) fn simple_predictors<'a>(&self) -> impl Iterator<Item = Predictor<'a>> + use<'a> {
         let fit = self.linear_fit.map(Predictor::LinearFit);
-        Baseline::ALL.map(Predictor::Baseline).into_iter().chain([Predictor::Mean]).chain(fit)
+        let baselines = if self.has_tools { &Baseline::WITH_TOOLS[..] } else { &Baseline::ALL };
+        let baselines = baselines.iter().map(|&baseline| Predictor::Baseline(baseline));
+        baselines.chain([Predictor::Mean]).chain(fit)
     }
 
     /// `particles` particles, all in the mean state of the training data.

@@ -99,7 +99,9 @@ fn add_times(
             time_model(surrogate, stream, start, times)?;
         }
         Predictor::Baseline(baseline) => {
-            time_simple(observed, |state| baseline.step(state, &context.ballistic), times);
+            let sweep = stream.sweep(start);
+            let step = |state: &mut State| baseline.step(state, &context.ballistic, sweep.as_ref());
+            time_simple(observed, step, times);
         }
         Predictor::LinearFit(fit) => {
             time_simple(observed, |state| fit.step(state, context.ballistic.dt), times);

@@ -87,11 +87,13 @@ impl Predictor<'_> {
                 None
             }
             Self::Baseline(baseline) => {
-                let step = |state: &mut State| baseline.step(state, &context.ballistic);
+                let step = |state: &mut State, index| {
+                    baseline.step(state, &context.ballistic, stream.sweep(index).as_ref());
+                };
                 Some(roll_out_simple(step, task, each))
             }
             Self::LinearFit(fit) => {
-                let step = |state: &mut State| fit.step(state, context.ballistic.dt);
+                let step = |state: &mut State, _| fit.step(state, context.ballistic.dt);
                 Some(roll_out_simple(step, task, each))
             }
             Self::Mean => {
@@ -120,24 +122,24 @@ impl Predictor<'_> {
     }
 }
 
-/// A predictor without a memory, which advances a state by a frame.
+/// A predictor without a memory, which advances a state by a frame, from the frame with this index.
 fn roll_out_simple(
-    step: impl Fn(&mut State),
+    step: impl Fn(&mut State, usize),
     task: &RolloutTask<'_>,
     each: &mut dyn FnMut(usize, Rollout),
 ) -> StepResults {
     let states = &task.stream.states;
     for (number, &start) in task.starts.iter().enumerate() {
-        let mut state = states[start].clone();
+        let (mut state, mut frames) = (states[start].clone(), start..);
         let next = || {
-            step(&mut state);
+            step(&mut state, frames.next()?);
             Some(state.clone())
         };
         each(number, Rollout::collect(&states[start], task.reach, next));
     }
     observe_steps(task, |index| {
         let mut state = states[index].clone();
-        step(&mut state);
+        step(&mut state, index);
         state
     })
 }

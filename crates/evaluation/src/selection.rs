@@ -62,7 +62,8 @@ impl Selection {
         let warm_up = warm_up.unwrap_or(1);
         // All streams of a data set have the same domain.
         let domain = streams.first().map_or(first.domain, |stream| stream.domain);
-        let context = Context::new(settings, first, warm_up, domain, walls, spacing);
+        let mut context = Context::new(settings, first, warm_up, domain, walls, spacing);
+        context.has_tools = streams.iter().any(|stream| stream.tools.is_some());
         context.check(streams.iter().map(|stream| stream.frames).max().unwrap_or(0))?;
         Ok(Self { streams, context, digest, remarks })
     }

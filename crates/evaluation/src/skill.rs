@@ -152,7 +152,7 @@ pub fn position_skill(
             *error += mean_squared_distance(predicted, truth);
             for ((baseline, state), error) in Baseline::ALL.iter().zip(&mut trivial).zip(baselines)
             {
-                baseline.step(state, &ballistic);
+                baseline.step(state, &ballistic, None);
                 *error += mean_squared_distance(&state.position, truth);
             }
         }
@@ -284,7 +284,7 @@ mod tests {
         let start = |x: f32| State { position: vec![[x, 0.5]], velocity: vec![[1.0, 0.0]] };
         let starts = [start(0.1), start(0.3)];
         let free = Ballistic { gravity, dt, lower: [-9.0; 2], upper: [9.0; 2] };
-        let fall = |start: &State| Baseline::Ballistic.roll_out(start, 3, &free);
+        let fall = |start: &State| Baseline::Ballistic.roll_out(start, &free, &[const { None }; 3]);
         let truth: Vec<[f32; 2]> =
             starts.iter().flat_map(fall).flat_map(|state| state.position).collect();
         // Displaced sideways, the truth has an exact baseline no more: constant velocity and ballistic err alike by it.

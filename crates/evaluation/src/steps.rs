@@ -143,6 +143,7 @@ mod tests {
             first_sequence: 0,
             first_stamp: Stamp(0),
             stiffness: None,
+            tools: None,
             states: places.iter().map(state).collect(),
         }
     }

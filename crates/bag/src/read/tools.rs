@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, btree_map::Entry};
 
 use super::{messages::Selection, reader::BagReader};
 use crate::{BagError, BagMessage, TopicInfo};
-use eddy_frames::tool::{self, InvalidTool, Part, Tools};
+use eddy_frames::tool::{self, InvalidTool, Part, Sweep, Tools};
 use eddy_messages::{BadTool, Message, ToolDescription, ToolFrame, cdr, tool_topics};
 use serde::de::DeserializeOwned;
 
@@ -18,6 +18,13 @@ pub struct RecordedTools {
 }
 
 impl RecordedTools {
+    /// How the tools move from a frame to the next, `dt` later (s). `None` before the first pose; they rest where poses are missing.
+    pub fn sweep(&self, sequence: u64, dt: f32) -> Option<Sweep> {
+        let (_, before) = self.frames.range(..=sequence).next_back()?;
+        let after = self.frames.get(&(sequence + 1)).unwrap_or(before);
+        Some(Sweep::new(&self.tools, &before.states, &after.states, dt))
+    }
+
     /// The convex parts of all tools where they are at a frame; none if that is not known.
     pub fn parts_at(&self, sequence: u64) -> Vec<Part> {
         let states = self.frames.get(&sequence).map_or(&[][..], |frame| &frame.states);

@@ -72,7 +72,7 @@ impl Limits {
         let ahead = COMPARED.min(truth.len());
         let error = |baseline: Baseline| {
             let mut state = observed.clone();
-            (0..ahead).for_each(|_| baseline.step(&mut state, &context.ballistic));
+            (0..ahead).for_each(|_| baseline.step(&mut state, &context.ballistic, None));
             mean_squared_distance(&state.position, &truth[ahead - 1].position)
         };
         let best = Baseline::ALL.map(error).into_iter().fold(f64::INFINITY, f64::min);

@@ -229,6 +229,7 @@ mod tests {
             first_sequence: 0,
             first_stamp: Stamp(0),
             stiffness: None,
+            tools: None,
             states: states.collect(),
         }
     }

@@ -1,10 +1,12 @@
 //! Tools: rigid bodies with prescribed motion, such as a cup or a blade, in the plane.
 //!
 //! [`Tools`] says what the tools of a stream are, once; [`ToolFrame`] where they are, beside each frame of particles with the same sequence
-//! number. [`outline`](Outline) has their geometry, [`shapes`] draws them.
+//! number. [`outline`](Outline) has their geometry, [`shapes`] draws them,
+//! [`Sweep`] is what they do to particles from frame to frame.
 
 mod outline;
 mod shapes;
+mod sweep;
 
 use std::collections::BTreeSet;
 
@@ -13,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::Stamp;
 pub use outline::{Edge, Outline, Part};
 pub use shapes::{ForceScale, Shape, shapes};
+pub use sweep::Sweep;
 
 /// Maximum number of tools of a stream.
 pub const MAX_TOOLS: usize = 8;

@@ -176,6 +176,25 @@ impl Part {
         }
     }
 
+    /// Its mirror image about a vertical line with `sides` twice the x of its points.
+    pub(super) fn mirrored(&self, sides: f32) -> Self {
+        let mirror = |[x, y]: [f32; 2]| [sides - x, y];
+        match self {
+            Self::Disc { centre, radius } => {
+                Self::Disc { centre: mirror(*centre), radius: *radius }
+            }
+            Self::Convex { edges, corners } => {
+                let of_edge = |&Edge { normal: [u, v], offset }: &Edge| Edge {
+                    normal: [-u, v],
+                    offset: offset - u * sides,
+                };
+                // In the same sense around it.
+                let corners = corners.iter().rev().copied().map(mirror).collect();
+                Self::Convex { edges: edges.iter().map(of_edge).collect(), corners }
+            }
+        }
+    }
+
     /// Distance of a point outside from its nearest point; negative inside.
     fn gap(&self, [x, y]: [f32; 2]) -> f32 {
         let Self::Convex { corners, .. } = self else { return self.distance([x, y]) };

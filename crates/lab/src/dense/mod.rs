@@ -256,6 +256,7 @@ mod tests {
                 first_sequence: 0,
                 first_stamp: Stamp::default(),
                 stiffness: None,
+                tools: None,
                 states,
             })
         };

@@ -83,6 +83,7 @@ fn streams_of(sizes: [[usize; 2]; 2]) -> Vec<Trajectory> {
             first_sequence: 0,
             first_stamp: Stamp::default(),
             stiffness: Some([1e3, 1e5][id]),
+            tools: None,
             states,
         })
     };

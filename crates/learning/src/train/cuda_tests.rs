@@ -55,6 +55,7 @@ pub(super) fn streams() -> Vec<Trajectory> {
             first_sequence: 0,
             first_stamp: Stamp::default(),
             stiffness: None,
+            tools: None,
             states,
         })
     };

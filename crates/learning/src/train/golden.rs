@@ -197,6 +197,7 @@ fn windows(material: &TensorView, tensors: &BTreeMap<String, Vec<f32>>) -> Vec<W
             material: kinds.iter().map(|&kind| Material::try_from(kind).unwrap()).collect(),
             rest: position[window * particles..(window + 1) * particles].to_vec(),
             stiffness: tensors.get("input.stiffness").map(|all| all[window]),
+            sweeps: vec![None; states.len() - 1],
             states: states.collect(),
             noisy: None,
         }
@@ -290,6 +291,7 @@ fn kernels_for_gpus_take_the_steps_of_pytorch() {
                 first_sequence: 0,
                 first_stamp: Stamp::default(),
                 stiffness: None,
+                tools: None,
                 states: window.states.clone(),
             })
         });

@@ -225,7 +225,7 @@ impl CommonSums {
 
 /// Sums of the trivial predictors' squared errors over the last frames of windows.
 pub(super) struct TrivialSums {
-    baselines: [TrivialErrors; Baseline::ALL.len()],
+    baselines: [TrivialErrors; Baseline::WITH_TOOLS.len()],
     /// Number of particles of each material.
     particles: [f64; Material::COUNT],
 }
@@ -234,15 +234,17 @@ impl TrivialSums {
     /// Empty sums for the last `unroll` frames of each window.
     pub(super) fn new(unroll: usize) -> Self {
         let zero = vec![[[0.0; 2]; Material::COUNT]; unroll];
-        Self { baselines: Baseline::ALL.map(|_| zero.clone()), particles: [0.0; Material::COUNT] }
+        let baselines = Baseline::WITH_TOOLS.map(|_| zero.clone());
+        Self { baselines, particles: [0.0; Material::COUNT] }
     }
 
     /// Adds the errors of a window.
     pub(super) fn add(&mut self, window: &Window, ballistic: &Ballistic) {
         let unroll = self.unroll();
-        for (baseline, sums) in Baseline::ALL.into_iter().zip(&mut self.baselines) {
+        for (baseline, sums) in Baseline::WITH_TOOLS.into_iter().zip(&mut self.baselines) {
             let (observed, truth) = window.states.split_at(window.states.len() - unroll);
-            let predicted = baseline.roll_out(&observed[observed.len() - 1], unroll, ballistic);
+            let (last, sweeps) = (&observed[observed.len() - 1], &window.sweeps);
+            let predicted = baseline.roll_out(last, ballistic, &sweeps[observed.len() - 1..]);
             for ((sums, predicted), truth) in sums.iter_mut().zip(&predicted).zip(truth) {
                 add(sums, &window.material, predicted, truth);
             }
@@ -330,6 +332,7 @@ mod tests {
             rest: vec![[0.5; 2]],
             stiffness: Some(stiffness),
             states: (0..=UNROLL).map(|frame| state(frame as f32)).collect(),
+            sweeps: vec![None; UNROLL],
             noisy: None,
         }
     }

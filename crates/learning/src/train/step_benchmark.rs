@@ -228,6 +228,7 @@ fn window(frames: usize, dt: f32, random: &mut ChaCha8Rng) -> Window {
         rest: start.clone(),
         stiffness: None,
         states: states.collect(),
+        sweeps: vec![None; frames - 1],
         noisy: None,
     }
 }
@@ -346,6 +347,7 @@ mod cuda {
             first_sequence: 0,
             first_stamp: Stamp::default(),
             stiffness: None,
+            tools: None,
             states: (0..frames).map(state).collect(),
         })
     }

@@ -119,7 +119,8 @@ fn roll_out(
     streams: &[Trajectory],
 ) -> Result<Vec<SceneResult>, TrainError> {
     context.check(longest(streams)).map_err(TrainError::Validation)?;
-    let baselines = Baseline::ALL.map(Predictor::Baseline);
+    // Without tools, none is carried.
+    let baselines = Baseline::WITH_TOOLS.map(Predictor::Baseline);
     let predictors: Vec<_> = std::iter::once(predictor).chain(baselines).collect();
     let evaluate = |stream: &Trajectory| {
         let whole = stream.cut(0..stream.frames)?;
@@ -141,7 +142,7 @@ pub(super) fn one_thread(checkpoint: &Checkpoint) -> Result<Surrogate, TrainErro
 
 /// Skill of predictor 0, averaged over kinds of scenes.
 fn mean_skill(scenes: &[SceneResult], horizon: usize) -> Vec<f64> {
-    Skills::of(scenes, 1..1 + Baseline::ALL.len(), horizon).mean(0)
+    Skills::of(scenes, 1..1 + Baseline::WITH_TOOLS.len(), horizon).mean(0)
 }
 
 /// The context of the comparison, without measures that use the spacing of particles. The walls of baselines are those of

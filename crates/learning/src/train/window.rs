@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{NoiseConfig, TrainError, WindowConfig};
 use eddy_dataset::Trajectory;
-use eddy_frames::{Material, State};
+use eddy_frames::{Material, State, tool::Sweep};
 
 /// A piece of a stream: all particles over consecutive frames.
 #[derive(Clone, Debug)]
@@ -24,6 +24,8 @@ pub(super) struct Window {
     pub(super) stiffness: Option<f32>,
     /// The states, `warm_up + unroll` of them.
     pub(super) states: Vec<State>,
+    /// How tools move after each state but the last, if there are any.
+    pub(super) sweeps: Vec<Option<Sweep>>,
     /// The last observed state with noise, if any, which the network observes instead.
     pub(super) noisy: Option<State>,
 }
@@ -214,6 +216,11 @@ impl<'a> Sampler<'a> {
             let (position, velocity) = (turn(&s.position, sides), turn(&s.velocity, 0.0));
             states.push(State { position, velocity });
         })?;
+        let sweep = |frame| {
+            let sweep = stream.sweep(frame)?;
+            Some(if mirrored { sweep.mirrored(sides) } else { sweep })
+        };
+        let sweeps = (start..start + self.frames - 1).map(sweep).collect();
         let last = &states[self.config.warm_up - 1];
         Ok(Window {
             stream: stream.id,
@@ -223,6 +230,7 @@ impl<'a> Sampler<'a> {
             stiffness: stream.stiffness,
             noisy: noise.map(|seed| add_noise(last, &self.config.noise, seed)),
             states,
+            sweeps,
         })
     }
 }
@@ -281,6 +289,7 @@ mod tests {
                 first_sequence: 0,
                 first_stamp: Stamp::default(),
                 stiffness: Some((id * 37 % count + 1) as f32),
+                tools: None,
                 // One is too short for a window.
                 states: vec![state.clone(); if id == 5 { 2 } else { FRAMES }],
             })

@@ -73,7 +73,7 @@ impl Baselines {
             return None;
         }
         for (baseline, state) in Baseline::ALL.into_iter().zip(&mut rollout.states) {
-            (0..frames).for_each(|_| baseline.step(state, &step));
+            (0..frames).for_each(|_| baseline.step(state, &step, None));
         }
         rollout.horizon = info.horizon;
         let errors =
