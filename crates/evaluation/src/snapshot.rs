@@ -2,7 +2,7 @@
 
 use super::{Context, EvalError, Predictor, SHOWN_FRAMES, measure::Flights, task::RolloutTask};
 use eddy_dataset::Stream;
-use eddy_frames::{Frame, Material};
+use eddy_frames::{Frame, Material, tool::Shape};
 use eddy_mpm::Scene;
 
 /// One rollout of several predictors from the same frame, at some frames ahead.
@@ -18,6 +18,8 @@ pub struct Snapshot {
     pub ahead: Vec<usize>,
     /// The true frames.
     pub truth: Vec<Frame>,
+    /// The tools at these frames, and the forces of true matter on them.
+    pub tools: Vec<Vec<Shape>>,
     /// The predicted frames, `[predictor][ahead]`.
     pub predicted: Vec<Vec<Frame>>,
 }
@@ -61,7 +63,14 @@ pub fn snapshot(
         })?;
         predicted.push(frames);
     }
-    let truth = ahead.iter().map(|&ahead| stream.frame(start + ahead)).collect();
+    let truth: Vec<_> = ahead.iter().map(|&ahead| stream.frame(start + ahead)).collect();
+    let tools = match &stream.tools {
+        Some(tools) => {
+            let scale = tools.force_scale(stream.domain.upper[1] - stream.domain.lower[1]);
+            truth.iter().map(|frame| tools.shapes_at(frame.sequence, scale)).collect()
+        }
+        None => vec![Vec::new(); truth.len()],
+    };
     let (scene, materials) = (stream.name(), stream.materials());
-    Ok(Some(Snapshot { scene, materials, start, ahead, truth, predicted }))
+    Ok(Some(Snapshot { scene, materials, start, ahead, truth, tools, predicted }))
 }

@@ -15,7 +15,7 @@ use eddy_cli::{Interrupt, Output, OutputKind, progress_bar};
 use eddy_exchange::{AlignedFrames, ExchangeError, FrameSelection, Frames, Streams, Track};
 use eddy_frames::{
     Frame, Material,
-    tool::{ForceScale, Shape, shapes},
+    tool::{ForceScale, Shape},
 };
 use eddy_pages::picture::{
     Animation, Canvas, Coloring, Kind, Painter, animation_timing, evenly_spaced, write_png,
@@ -24,8 +24,6 @@ use eddy_settings::{atomic::Staged, usage::Usage};
 
 /// Longer side of the domain in a strip (pixels).
 const STRIP_SIZE: usize = 240;
-/// Length of the arrow of the strongest force on a tool (share of the domain's height).
-const LONGEST_ARROW: f32 = 0.2;
 /// Longer side of the domain in an animation (pixels).
 const ANIMATION_SIZE: usize = 480;
 
@@ -176,18 +174,18 @@ impl DrawnTools {
             tracing::warn!("{error}; drawn without tools");
             BTreeMap::new()
         });
-        let length = LONGEST_ARROW * (track.domain.upper[1] - track.domain.lower[1]);
+        let height = track.domain.upper[1] - track.domain.lower[1];
         let of_stream = all.into_iter().find(|(stream, _)| *stream == track.stream);
         Self(of_stream.map(|(_, tools)| {
-            let scale = ForceScale::of(tools.frames.values(), length);
+            let scale = tools.force_scale(height);
             (tools, scale)
         }))
     }
 
     /// Their shapes at a frame.
     fn at(&self, sequence: u64) -> Vec<Shape> {
-        let Some((RecordedTools { tools, frames }, scale)) = &self.0 else { return Vec::new() };
-        frames.get(&sequence).map_or_else(Vec::new, |frame| shapes(tools, frame, *scale))
+        let tools = self.0.as_ref();
+        tools.map_or_else(Vec::new, |(tools, scale)| tools.shapes_at(sequence, *scale))
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, btree_map::Entry};
 
 use super::{messages::Selection, reader::BagReader};
 use crate::{BagError, BagMessage, TopicInfo};
-use eddy_frames::tool::{self, InvalidTool, Part, Sweep, Tools};
+use eddy_frames::tool::{self, ForceScale, InvalidTool, Shape, Sweep, Tools, shapes};
 use eddy_messages::{BadTool, Message, ToolDescription, ToolFrame, cdr, tool_topics};
 use serde::de::DeserializeOwned;
 
@@ -25,15 +25,16 @@ impl RecordedTools {
         Some(Sweep::new(&self.tools, &before.states, &after.states, dt))
     }
 
-    /// The convex parts of all tools where they are at a frame; none if that is not known.
-    pub fn parts_at(&self, sequence: u64) -> Vec<Part> {
-        let states = self.frames.get(&sequence).map_or(&[][..], |frame| &frame.states);
-        self.tools
-            .tools
-            .iter()
-            .zip(states)
-            .flat_map(|(tool, state)| tool.shape.posed(state.pose))
-            .collect()
+    /// The scale for all forces on them in a domain of this height.
+    pub fn force_scale(&self, height: f32) -> ForceScale {
+        let forces = self.frames.values().map(tool::ToolFrame::strongest_force);
+        ForceScale::new(forces.fold(0.0, f64::max), height)
+    }
+
+    /// The tools at a frame and the forces on them, to draw; none if it is not known where they are.
+    pub fn shapes_at(&self, sequence: u64, scale: ForceScale) -> Vec<Shape> {
+        let frame = self.frames.get(&sequence);
+        frame.map_or_else(Vec::new, |frame| shapes(&self.tools, frame, scale))
     }
 }
 
@@ -167,9 +168,10 @@ mod tests {
         let recorded = &found.unwrap()[&3];
         assert_eq!(recorded.tools, blade(0.1));
         assert_eq!(recorded.frames, BTreeMap::from([(0, at(0, 0.25)), (1, at(1, 0.5))]));
-        let [part] = &recorded.parts_at(1)[..] else { panic!("one part") };
+        let shapes_at = |sequence| recorded.shapes_at(sequence, recorded.force_scale(1.0));
+        let [Shape { part, .. }] = &shapes_at(1)[..] else { panic!("one part without a force") };
         assert!(part.distance([0.5, 0.5]) < 0.0 && part.distance([0.25, 0.5]) > 0.0);
-        assert_eq!(recorded.parts_at(7), []);
+        assert_eq!(shapes_at(7).len(), 0);
     }
 
     #[test]

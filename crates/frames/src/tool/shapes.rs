@@ -9,6 +9,8 @@ use crate::{
 /// Corners of the polygon that a disc is drawn as.
 const DISC_CORNERS: usize = 40;
 
+/// Length of the longest arrow (share of the domain's height).
+const LONGEST_ARROW: f32 = 0.2;
 /// Width of an arrow's shaft, width and length of its head (share of the arrow's greatest length).
 const ARROW: [f32; 3] = [0.06, 0.22, 0.26];
 
@@ -66,11 +68,17 @@ pub struct ForceScale {
 }
 
 impl ForceScale {
-    /// The scale for frames of tools: the strongest force has an arrow of this length (domain lengths).
-    pub fn of<'a>(frames: impl IntoIterator<Item = &'a ToolFrame>, length: f32) -> Self {
-        let wrenches = frames.into_iter().flat_map(|frame| &frame.wrenches);
-        let strongest = wrenches.map(|wrench| wrench.force[0].hypot(wrench.force[1]));
-        Self { strongest: strongest.fold(0.0, f64::max), length }
+    /// The scale in a domain of this height, for forces up to the strongest.
+    pub fn new(strongest: f64, height: f32) -> Self {
+        Self { strongest, length: LONGEST_ARROW * height }
+    }
+}
+
+impl ToolFrame {
+    /// The strongest force on any of the tools; 0 if none is known.
+    pub fn strongest_force(&self) -> f64 {
+        let forces = self.wrenches.iter().map(|wrench| wrench.force[0].hypot(wrench.force[1]));
+        forces.fold(0.0, f64::max)
     }
 }
 
@@ -163,7 +171,7 @@ mod tests {
             wrenches,
         };
         let pushed = frame(vec![Wrench { force: [0.0, 3.0], torque: 0.0 }]);
-        let scale = ForceScale::of([&pushed], 0.2);
+        let scale = ForceScale::new(pushed.strongest_force(), 1.0);
         let drawn = shapes(&tools, &pushed, scale);
         let [tool, shaft, head] = &drawn[..] else { panic!("{} shapes", drawn.len()) };
         assert_eq!((tool.color, shaft.color, head.color), (TOOL, FORCE, FORCE));
@@ -172,7 +180,7 @@ mod tests {
         assert!(head.part.distance([0.5, 0.46]) > 0.0, "it is as long as the scale says");
         let still = frame(vec![Wrench::default()]);
         assert_eq!(shapes(&tools, &still, scale).len(), 1);
-        assert_eq!(shapes(&tools, &still, ForceScale::of([&still], 0.2)).len(), 1);
+        assert_eq!(shapes(&tools, &still, ForceScale::new(still.strongest_force(), 1.0)).len(), 1);
         assert_eq!(shapes(&tools, &frame(Vec::new()), scale).len(), 1);
     }
 }

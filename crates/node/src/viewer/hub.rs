@@ -26,8 +26,6 @@ const QUEUE_FRAMES: usize = 8;
 const MAX_STREAMS: usize = 256;
 /// Frames of tools that are kept of a stream: a frame may be displayed some time after it was observed.
 const TOOL_FRAMES: usize = 64;
-/// Length of the arrow of the strongest force on a tool (share of the domain's height).
-const LONGEST_ARROW: f32 = 0.2;
 /// Silence after which another stream becomes the current one.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Silence, while other streams continue, after which a stream is no longer listed or selected.
@@ -205,7 +203,7 @@ impl Hub {
     pub fn moved(&self, frame: ToolFrame) {
         let mut state = self.lock();
         let Some(known) = state.tools.get_mut(&frame.stream) else { return };
-        known.strongest = ForceScale::of([&frame], 0.0).strongest.max(known.strongest);
+        known.strongest = known.strongest.max(frame.strongest_force());
         // A stream that begins again.
         while known.frames.back().is_some_and(|last| last.sequence >= frame.sequence) {
             known.frames.pop_back();
@@ -223,7 +221,7 @@ impl Hub {
             return Vec::new();
         };
         let frame = frames.iter().rev().find(|frame| frame.sequence <= sequence);
-        let scale = ForceScale { strongest: *strongest, length: LONGEST_ARROW * height };
+        let scale = ForceScale::new(*strongest, height);
         frame.map_or_else(Vec::new, |frame| shapes(tools, frame, scale))
     }
 

@@ -4,7 +4,7 @@ use std::io;
 
 use super::{super::scenes::joined, Report};
 use crate::Snapshot;
-use eddy_frames::Frame;
+use eddy_frames::{Frame, tool::Shape};
 use eddy_pages::{
     Picture, PictureGrid, Section,
     picture::{Coloring, Painter, png_bytes},
@@ -17,7 +17,8 @@ impl Report {
     pub(super) fn pictures(&self, section: &mut Section) -> io::Result<()> {
         section.paragraph(
             "One free rollout in a scene of each kind: the truth above the predictions from the same frame. Colours are \
-             materials: liquid dark blue, snow light blue, jelly orange, rope red.",
+             materials: liquid dark blue, snow light blue, jelly orange, rope red. Tools are grey, with a red arrow for the force on each \
+             in the truth.",
         );
         let (names, snapshots) = &self.snapshots;
         for snapshot in snapshots {
@@ -28,19 +29,20 @@ impl Report {
 }
 
 fn grid(names: &[String], snapshot: &Snapshot) -> io::Result<PictureGrid> {
-    let Snapshot { scene, materials, start, ahead, truth, predicted } = snapshot;
+    let Snapshot { scene, materials, start, ahead, truth, tools, predicted } = snapshot;
     let painter = truth.first().map(|first| {
         Painter::new(first.domain, first.len(), SIZE, Coloring::Material(materials.clone()))
     });
     let row = |name: &str, frames: &[Frame]| -> io::Result<(String, Vec<Picture>)> {
-        let picture = |(frame, ahead): (&Frame, &usize)| {
+        let picture = |((frame, ahead), tools): ((&Frame, &usize), &Vec<Shape>)| {
             let Some(painter) = &painter else { return Err(io::Error::other("no frame")) };
-            let canvas = painter.particles(frame, &[]);
+            let canvas = painter.particles(frame, tools);
             let size = [canvas.width(), canvas.height()];
             let words = format!("{scene}: {name}, {ahead} frames ahead");
             Ok(Picture { png: png_bytes(&canvas)?, size, words })
         };
-        let pictures = frames.iter().zip(ahead).map(picture).collect::<io::Result<_>>()?;
+        let pictures =
+            frames.iter().zip(ahead).zip(tools).map(picture).collect::<io::Result<_>>()?;
         Ok((name.to_owned(), pictures))
     };
     let mut rows = vec![row("truth", truth)?];
