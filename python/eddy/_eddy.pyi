@@ -187,6 +187,13 @@ class _Arrays(TypedDict):
     sequence: NDArray[np.uint64]
     time: NDArray[np.float64]
 
+class _Tools(TypedDict):
+    tools: list[dict[str, Any]]
+    sequence: NDArray[np.uint64]
+    pose: NDArray[np.float32]
+    twist: NDArray[np.float32]
+    wrench: NDArray[np.float64]
+
 @final
 class Bag:
     def __new__(cls, path: _Path) -> Bag: ...
@@ -196,6 +203,7 @@ class Bag:
     def custom_data(self) -> dict[str, str]: ...
     def frames(self, topic: str = "/particles") -> Frames: ...
     def arrays(self, topic: str = "/particles", *, stream: int | None = None) -> _Arrays: ...
+    def tools(self, topic: str = "/particles", *, stream: int | None = None) -> _Tools: ...
     def messages(
         self,
         topics: str | Sequence[str] | None = None,
@@ -247,6 +255,16 @@ class BagWriter:
     ) -> BagWriter: ...
     def write_frame(
         self, frame: Frame, topic: str = "/particles", *, log_time: int | None = None
+    ) -> None: ...
+    def write_tools(
+        self,
+        frame: Frame,
+        tools: Sequence[Mapping[str, Any]],
+        pose: _Array,
+        topic: str = "/particles",
+        *,
+        twist: _Array | None = None,
+        wrench: _Array | None = None,
     ) -> None: ...
     def write_prediction(
         self, frame: Frame, source_sequence: int, topic: str = "/prediction", *, model: str = ""

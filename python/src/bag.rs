@@ -22,6 +22,8 @@ use crate::{
     detached,
     errors::{BagError, raise},
     frame::Frame,
+    lock,
+    tools::{self, At, Described},
 };
 
 /// A bag opened for reading: `path` is a directory with metadata.yaml, or an MCAP file.
@@ -87,6 +89,20 @@ impl Bag {
         arrays.set_item("sequence", array(py, sequence, [frames]))?;
         arrays.set_item("time", array(py, time, [frames]))?;
         Ok(arrays)
+    }
+
+    /// The tools beside the frames of a stream of a topic: `tools`, what they are, dictionaries with `name`, `shape` and `contact` as in a
+    /// scene; at each of T frames, by their `sequence` uint64 [T], of each of K tools `pose` float32 [T, K, 3] (x, y, angle; domain lengths,
+    /// rad), `twist` float32 [T, K, 3] (their rates before the frame, per s) and `wrench` float64 [T, K, 3] (mean force x, y, density x domain lengths^3
+    /// per s^2, and torque about its position, x domain lengths, before the frame; NaN where unknown). The stream may be omitted if there is one only.
+    #[pyo3(signature = (topic="/particles", *, stream=None))]
+    fn tools<'py>(
+        &self,
+        py: Python<'py>,
+        topic: &str,
+        stream: Option<u64>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        tools::read(py, &self.inner, topic, stream)
     }
 
     /// An iterator over messages in the order of their log time: of all topics, or of some; from `start` to `end` (log time
@@ -312,6 +328,8 @@ impl Message {
 pub(crate) struct BagWriter {
     /// None after `close`.
     inner: Mutex<Option<eddy_bag::BagWriter>>,
+    /// The tools that it has.
+    described: Mutex<Described>,
 }
 
 impl BagWriter {
@@ -351,7 +369,7 @@ impl BagWriter {
         let options = WriterOptions { compression, ..WriterOptions::default() };
         let mut inner = eddy_bag::BagWriter::create(&path, options).map_err(raise::<BagError>)?;
         inner.extend_custom_data(custom_data);
-        Ok(Self { inner: Mutex::new(Some(inner)) })
+        Ok(Self { inner: Mutex::new(Some(inner)), described: Mutex::default() })
     }
 
     /// Appends a frame. Its log time is its simulation time, counted from that of the first frame if the bag begins before 0, unless
@@ -373,6 +391,27 @@ impl BagWriter {
                 Some(time) => writer.write(topic, Stamp(time), Stamp(time), &frame.to_cdr()),
             }
         })
+    }
+
+    /// Appends where the tools are at a frame, and before the first one of its stream what they are: `tools` and the arrays `pose`, `twist`,
+    /// `wrench` of K tools, [K, 3] each, as in `Bag.tools`. Without `twist` they rest; without `wrench` it is unknown.
+    #[pyo3(signature = (frame, tools, pose, topic="/particles", *, twist=None, wrench=None))]
+    #[expect(clippy::too_many_arguments, reason = "the parameters of a Python method")]
+    fn write_tools(
+        &self,
+        py: Python<'_>,
+        frame: &Bound<'_, Frame>,
+        tools: &Bound<'_, PyAny>,
+        pose: &Bound<'_, PyAny>,
+        topic: &str,
+        twist: Option<&Bound<'_, PyAny>>,
+        wrench: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let at = At::new(frame.get().plane("frame")?, tools, pose, twist, wrench)?;
+        match self.with(py, |writer| at.write(writer, &mut lock(&self.described), topic))? {
+            true => Ok(()),
+            false => Err(wrong("tools", "other tools", "those of the stream's first frame")),
+        }
     }
 
     /// Appends a predicted frame, and on `topic`/status from which frame it was predicted, as a node publishes both: what

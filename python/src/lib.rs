@@ -17,6 +17,7 @@ mod node;
 mod scene;
 mod solver;
 mod surrogate;
+mod tools;
 mod train;
 mod values;
 

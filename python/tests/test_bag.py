@@ -55,6 +55,38 @@ def test_messages_of_any_type(tmp_path: Path) -> None:
         bag.frames()
 
 
+def test_tools_come_back_as_they_were_written(tmp_path: Path, block: eddy.Frame) -> None:
+    tools = [
+        {"name": "blade", "shape": {"rectangle": {"size": [0.1, 0.2]}}, "contact": {"friction": 0.5}},
+        {"name": "floor", "shape": "half_plane", "contact": "slip"},
+    ]
+    pose = np.array([[0.5, 0.25, 0.125], [0.0, 0.0625, 0.0]], np.float32)
+    twist, wrench = np.ones((2, 3), np.float32), np.array([[1.0, -2.0, 0.5], [0.0, 8.0, 0.0]])
+    after = eddy.Frame(block.position, block.velocity, block.material, sequence=block.sequence + 1, time=1.0)
+    with eddy.BagWriter(tmp_path / "bag") as writer:
+        for frame in (block, after):
+            writer.write_frame(frame, "/left/particles")
+        writer.write_tools(block, tools, pose, "/left/particles")
+        writer.write_tools(after, tools, pose + 1, "/left/particles", twist=twist, wrench=wrench)
+        with pytest.raises(ValueError, match="tools: found other tools, expected those"):
+            writer.write_tools(after, tools[::-1], pose, "/left/particles")
+        with pytest.raises(ValueError, match=r"pose: found .*, expected shape \[2, 3\]"):
+            writer.write_tools(after, tools, pose[:1])
+        with pytest.raises(ValueError, match=r"tools\[0\]\.shape\.disc\.radius: found -1"):
+            writer.write_tools(after, [{"name": "ball", "shape": {"disc": {"radius": -1}}}], pose[:1])
+        with pytest.raises(ValueError, match="found .*NaN.*, expected"):
+            writer.write_tools(after, tools, pose * np.float32("nan"))
+    bag = eddy.Bag(tmp_path / "bag")
+    found = bag.tools("/left/particles")
+    assert found["tools"][1] == tools[1] and found["tools"][0]["contact"] == {"friction": 0.5}
+    assert found["sequence"].tolist() == [block.sequence, after.sequence]
+    assert np.array_equal(found["pose"], np.stack([pose, pose + 1]))
+    assert np.array_equal(found["twist"], np.stack([0 * twist, twist]))
+    assert np.isnan(found["wrench"][0]).all() and np.array_equal(found["wrench"][1], wrench)
+    with pytest.raises(ValueError, match=r"/particles: found tools of streams \[\], expected"):
+        bag.tools()
+
+
 def test_a_closed_writer_and_a_taken_name(tmp_path: Path, block: eddy.Frame) -> None:
     writer = eddy.BagWriter(tmp_path / "bag")
     writer.write_frame(block)

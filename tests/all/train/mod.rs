@@ -65,6 +65,7 @@ pub fn stream(id: u64) -> Stream {
         first_sequence: 0,
         first_stamp: Stamp(0),
         stiffness: None,
+        tools: None,
         states,
     }
 }
