@@ -15,12 +15,16 @@ const SIZE: usize = 260;
 
 impl Report {
     pub(super) fn pictures(&self, section: &mut Section) -> io::Result<()> {
-        section.paragraph(
-            "One free rollout in a scene of each kind: the truth above the predictions from the same frame. Colours are \
-             materials: liquid dark blue, snow light blue, jelly orange, rope red. Tools are grey, with a red arrow for the force on each \
-             in the truth.",
-        );
         let (names, snapshots) = &self.snapshots;
+        let have_tools = snapshots.iter().flat_map(|one| &one.tools).any(|tools| !tools.is_empty());
+        let tools = match have_tools {
+            true => " Tools are grey, with a red arrow for the force of true matter on each.",
+            false => "",
+        };
+        section.paragraph(&format!(
+            "One free rollout in a scene of each kind: the truth above the predictions from the same frame. Colours are \
+             materials: liquid dark blue, snow light blue, jelly orange, rope red, sand pink.{tools}"
+        ));
         for snapshot in snapshots {
             section.pictures(&grid(names, snapshot)?);
         }
