@@ -234,3 +234,74 @@ fn a_thin_cup_that_is_shaken_holds_what_it_has() {
         assert_eq!(outside.count(), 0, "{material:?}: of {count} particles");
     }
 }
+
+/// An open cup with walls .47 of a cell thick, .4 wide and high inside: its floor and its sides.
+fn open_cup() -> Outline {
+    let Outline::Polygons { mut corners } = cup(2.0 * HALF, HIGH) else { unreachable!() };
+    corners.pop();
+    Outline::Polygons { corners }
+}
+
+const HALF: f32 = 0.2;
+const HIGH: f32 = 0.4;
+
+/// Where a point is, as seen from the cup.
+fn seen_from(at: Pose, [x, y]: [f32; 2]) -> [f32; 2] {
+    let (sin, cos) = at.angle.sin_cos();
+    let [x, y] = [x - at.position[0], y - at.position[1]];
+    [cos * x + sin * y, cos * y - sin * x]
+}
+
+/// The pose of the cup in the test below, by time (s): at rest, shaken, and emptied.
+fn carried(time: f32) -> Pose {
+    let (shaken, poured) = ((time - 0.3).clamp(0.0, 1.0), (time - 1.3).clamp(0.0, 0.8) / 0.8);
+    let phase = 30.0 * shaken * std::f32::consts::PI;
+    pose(
+        0.35 + 0.015 * phase.sin(),
+        0.54 + 0.01 * (2.0 * phase).sin(),
+        6.0 * phase.sin() - 125.0 * poured,
+    )
+}
+
+#[test]
+fn matter_in_a_thin_cup_that_rests_is_shaken_and_poured_passes_its_walls_nowhere() {
+    /// Between looks at all particles (s).
+    const LOOK: f32 = 0.002;
+    // Particles less than a cell from a wall, times substeps.
+    let mut passages = 0;
+    // Snow would stick in a rough cup.
+    let (rough, smooth) = (Contact::Friction(0.3), Contact::Slip);
+    for (material, contact) in
+        [(Material::Liquid, rough), (Material::Sand, rough), (Material::Snow, smooth)]
+    {
+        let spacing = 0.5 * GRID.dx;
+        let particles = block([0.155, 0.545], [49, 40], spacing, material);
+        let tools = vec![(tool(open_cup(), contact), carried(0.0))];
+        let mut solver = with_tools(particles, material, Materials::default(), tools);
+        let is_inside = |[along, up]: [f32; 2]| along.abs() <= HALF && (0.0..=HIGH).contains(&up);
+        let mut inside = vec![true; solver.particles().len()];
+        let looks = (2.8 / LOOK) as usize;
+        for look in 0..looks {
+            let [start, end] = [look, look + 1].map(|k| carried(k as f32 * LOOK));
+            solver.motions = vec![Motion { start, end }];
+            run_for(&mut solver, LOOK);
+            let substeps = (LOOK / solver.settings().dt).round() as usize;
+            for (particle, was_inside) in solver.particles().iter().zip(&mut inside) {
+                let [along, up] = seen_from(end, particle.position);
+                let beside = (HALF - along.abs()).abs().min(up.abs()) < GRID.dx;
+                passages += if beside && up < HIGH { substeps } else { 0 };
+                let is_inside = is_inside([along, up]);
+                assert!(
+                    is_inside == *was_inside || up > HIGH - GRID.dx,
+                    "{material:?} at {look} of {looks}: through a wall at {along}, {up}"
+                );
+                *was_inside = is_inside;
+            }
+        }
+        let left = inside.iter().filter(|inside| **inside).count();
+        println!("{material:?}: {left} of {} particles are left in the cup", inside.len());
+        assert!(left < inside.len() / 2, "{material:?} is poured");
+    }
+    println!("{passages} passages");
+    assert!(passages > 1_000_000);
+}
