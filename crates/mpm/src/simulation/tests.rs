@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use super::{
     super::{
         Body, Contact, Drain, Emitter, FRAME_INTERVAL, Keyframe, Outline, Preset, Shape,
-        error::Limit, material::Materials,
+        error::Limit,
+        material::Materials,
+        tool::{Pose, Tool},
     },
     *,
 };
