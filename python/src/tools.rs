@@ -54,7 +54,7 @@ pub(crate) fn read<'py>(
     let shape = [frames.len(), tools.tools.len(), 3];
     let (mut pose, mut twist, mut wrench) = (Vec::new(), Vec::new(), Vec::new());
     for ToolFrame { states, wrenches, .. } in frames.values() {
-        for (index, ToolState { pose: at, velocity: [u, v], spin }) in states.iter().enumerate() {
+        for (index, &ToolState { pose: at, velocity: [u, v], spin }) in states.iter().enumerate() {
             pose.extend([at.position[0], at.position[1], at.angle]);
             twist.extend([u, v, spin]);
             let known = wrenches.get(index);
