@@ -227,12 +227,12 @@ def main():
     parser.add_argument("program", help="the built eddy")
     parser.add_argument("--scene", type=Path, default=SCENE)
     parser.add_argument("--cell-width", type=float, default=1 / 64, help="domain lengths")
-    parser.add_argument("--steps-per-second", type=int, nargs="+", default=[60, 240, 960])
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps-per-second", type=int, nargs="+", default=[60, 240, 480])
+    parser.add_argument("--rounds", type=int, default=2)
     options = parser.parse_args()
     scene = tomllib.loads(options.scene.read_text())
     scene["cell_width"] = options.cell_width
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     wp.init()
     with wp.ScopedDevice("cpu"):
         compare(options, scene, options.cell_width)

@@ -157,12 +157,11 @@ class Sand(Mpm128):
         else:
             most = -self.slope * mean
             shear = ti.max(-most, ti.min(most, 0.5 * (first - second)))
-            sig[0, 0], sig[1, 1] = ti.exp(mean + shear), ti.exp(mean - shear)
-            self.F[p] = U @ sig @ V.transpose()
+            kept = ti.Matrix([[ti.exp(mean + shear), 0.0], [0.0, ti.exp(mean - shear)]])
+            self.F[p] = U @ kept @ V.transpose()
             self.Jp[p] = 0
-            sig[0, 0] = 2 * (self.la + self.mu) * mean + 2 * self.mu * shear
-            sig[1, 1] = 2 * (self.la + self.mu) * mean - 2 * self.mu * shear
-            stress = U @ sig @ U.transpose()
+            pressure, half = 2 * (self.la + self.mu) * mean, 2 * self.mu * shear
+            stress = U @ ti.Matrix([[pressure + half, 0.0], [0.0, pressure - half]]) @ U.transpose()
         return stress
 
     @ti.kernel
