@@ -1,18 +1,19 @@
 """Compare eddy's solver with Newton's implicit MPM on a collapsing column of sand.
 
-`eddy simulate` solves a scene (by default the shipped `sand_column.toml`: 0.3 x 0.6 domain lengths) and
-writes a bag. Newton starts from the particles of its first frame and runs to the time of its last one.
-Newton is three-dimensional: its particles form a slab one voxel thick between planes without friction.
-Both have the same voxels, walls and floor, and friction at them. Newton has the material and solver settings of its
-own example `mpm_granular`, apart from the friction.
+`eddy simulate` solves a scene (by default the shipped `sand_column.toml`: 0.3 x 0.6 domain
+lengths) and writes a bag. Newton starts from the particles of its first frame and runs to the time
+of its last one. Newton is three-dimensional: its particles form a slab one voxel thick between
+planes without friction. Both have the same voxels, walls and floor, and friction at them. Newton
+has the material and solver settings of its own example `mpm_granular`, apart from the friction.
 
-Prints a table: wall time of a run on one thread (s; least of the rounds, which alternate), the front
-(domain lengths from the wall within which 99 % of the particles lie), the height of the deposit (domain
-lengths), the largest speed at the end (domain lengths per s), and the Chamfer distance of the deposit from
-eddy's (particle spacings; mean distance to the nearest particle of the other deposit, of both directions).
-The row "eddy, 2 E" tells what the Chamfer distance of equal deposits is: its particles end in other places.
-eddy's time is that of the whole process, with its start and the writing of the bag; Newton's excludes
-its import, the compilation of its kernels (minutes at the first run) and the construction of the solver.
+Prints a table: wall time of a run on one thread (s; least of the rounds, which alternate), the
+front (domain lengths from the wall within which 99 % of the particles lie), the height of the
+deposit (domain lengths), the largest speed at the end (domain lengths per s), and the Chamfer
+distance of the deposit from eddy's (particle spacings; mean distance to the nearest particle of
+the other deposit, of both directions). The row "eddy, 2 E" tells what the Chamfer distance of
+equal deposits is: its particles end in other places. eddy's time is that of the whole process,
+with its start and the writing of the bag; Newton's excludes its import, the compilation of its
+kernels (minutes at the first run) and the construction of the solver.
 
     pip install -r tests/peers/requirements-bench.txt
     cargo build --release
@@ -62,17 +63,18 @@ MATERIAL = {
 def newton_friction(degrees):
     """Newton's coefficient for an angle of internal friction.
 
-    Newton bounds sqrt(J2) by the coefficient times the mean pressure of three dimensions. Its flow has no
-    dilatancy and is along the deviatoric stress. In plane strain nothing flows across the plane, so the
-    stress across it is the mean of the other two once sand flows: sqrt(J2) is half of the difference of
-    the principal stresses, the pressure is their mean, and Mohr and Coulomb's limit is the sine. (Matched in
-    triaxial compression it would be 2 sqrt(3) sin / (3 - sin), .72 for 31 degrees: too strong here.)
+    Newton bounds sqrt(J2) by the coefficient times the mean pressure of three dimensions. Its flow
+    has no dilatancy and is along the deviatoric stress. In plane strain nothing flows across the
+    plane, so the stress across it is the mean of the other two once sand flows: sqrt(J2) is half
+    of the difference of the principal stresses, the pressure is their mean, and Mohr and Coulomb's
+    limit is the sine. (Matched in triaxial compression it would be 2 sqrt(3) sin / (3 - sin), .72
+    for 31 degrees: too strong here.)
     """
     return math.sin(math.radians(degrees))
 
 
 def eddy(program, scene, stiffness=None):
-    """Run `eddy simulate` on one thread: seconds, the first and the last frame, and the end (s)."""
+    """Run `eddy simulate` on one thread: seconds, the first and the last frame, the end (s)."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scene.toml")
         file.write_text(tomli_w.dumps(scene))
@@ -97,7 +99,7 @@ class Slab:
     def __init__(self, position, scene, voxel, options):
         # Newton's voxels are centred on multiples of their width; eddy's nodes lie on them.
         self.shift = 0.5 * voxel
-        # The volume of a particle of eddy times the thickness of the slab; Newton's is (2 radius)^3.
+        # The area of a particle of eddy times the thickness of the slab; Newton's is (2 r)^3.
         volume = (0.5 * voxel) ** 2 * voxel
         count = len(position)
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
@@ -127,8 +129,8 @@ class Slab:
         friction = newton.ModelBuilder.ShapeConfig(mu=scene["materials"]["wall_friction"])
         for plane in [(0.0, 1.0, 0.0, -near), (1.0, 0.0, 0.0, -near), (-1.0, 0.0, 0.0, far)]:
             builder.add_shape_plane(plane, width=8.0, length=8.0, cfg=friction)
-        # A node meets the closest wall only. So the sides begin a little above the floor, whose nodes
-        # would otherwise meet the sides.
+        # A node meets the closest wall only. The sides begin a little above the floor, whose nodes
+        # would meet them otherwise.
         gap, top = 0.05 * voxel, scene["domain"][1]
         middle = 0.5 * (near + far), 0.5 * (near + gap + top)
         for side, turned in [(-0.5, 0.0), (0.5, math.pi)]:
@@ -161,11 +163,8 @@ def chamfer(a, b):
 
     def one_way(a, b):
         parts = np.array_split(a, max(1, len(a) // 500))
-        return np.mean(
-            np.concatenate(
-                [np.sqrt(((p[:, None] - b[None]) ** 2).sum(-1).min(1)) for p in parts]
-            )
-        )
+        near = [((part[:, None] - b[None]) ** 2).sum(-1).min(1) for part in parts]
+        return np.sqrt(np.concatenate(near)).mean()
 
     return 0.5 * (one_way(a, b) + one_way(b, a))
 
@@ -186,7 +185,7 @@ def row(name, seconds, ours, found, voxel):
 
 
 def peers(rates):
-    """Newton's runs: name, settings that differ from those of its example, and steps per second."""
+    """Newton's runs: name, settings that differ from its example's, and steps per second."""
     for rate in rates:
         yield f"Newton, 1/{rate} s", {}, rate
     # The iterations of Isaac Lab's pouring task.

@@ -126,11 +126,12 @@ class Mpm128:
 
 @ti.data_oriented
 class Sand(Mpm128):
-    """The same solver for sand alone, with the law of Klar et al. 2016, "Drucker-Prager Elastoplasticity for Sand Animation".
+    """The same solver for sand alone, with the law of Klar et al. 2016.
 
-    Hencky strain, no flow of volume, and the volume correction of Tampubolon et al. 2017: area that grains gain when
-    they part must be given back before they resist again. In the plane the yield surface is that of Mohr and
-    Coulomb for `degrees`. Kernels have no branches of other materials.
+    That is "Drucker-Prager Elastoplasticity for Sand Animation": Hencky strain, and plastic flow
+    that keeps the volume. With the volume correction of Tampubolon et al. 2017: area that grains
+    gain when they part must be given back before they resist again. In the plane the yield surface
+    is that of Mohr and Coulomb for `degrees`. The kernel has no branches for other materials.
     """
 
     def __init__(self, frame, cells, dt, stiffness, gravity, degrees):
@@ -161,7 +162,8 @@ class Sand(Mpm128):
             self.F[p] = U @ kept @ V.transpose()
             self.Jp[p] = 0
             pressure, half = 2 * (self.la + self.mu) * mean, 2 * self.mu * shear
-            stress = U @ ti.Matrix([[pressure + half, 0.0], [0.0, pressure - half]]) @ U.transpose()
+            principal = ti.Matrix([[pressure + half, 0.0], [0.0, pressure - half]])
+            stress = U @ principal @ U.transpose()
         return stress
 
     @ti.kernel
@@ -173,7 +175,8 @@ class Sand(Mpm128):
             base = (self.x[p] / self.dx - 0.5).cast(int)
             fx = self.x[p] / self.dx - base.cast(float)
             w = [0.5 * (1.5 - fx) ** 2, 0.75 - (fx - 1) ** 2, 0.5 * (fx - 0.5) ** 2]
-            affine = (-self.dt * self.volume * 4 / self.dx**2) * self.stress(p) + self.mass * self.C[p]
+            stress = (-self.dt * self.volume * 4 / self.dx**2) * self.stress(p)
+            affine = stress + self.mass * self.C[p]
             for i, j in ti.static(ti.ndrange(3, 3)):
                 offset = ti.Vector([i, j])
                 dpos = (offset.cast(float) - fx) * self.dx

@@ -1,12 +1,12 @@
 """Compare eddy's solver with Taichi: time per substep and particle positions.
 
-`eddy-lab bench solver --output` writes bags with the initial state and eddy's states after 20 and 200
-substeps. This script runs Taichi's mpm128 example from the same initial states; with --sand both have blocks of
-sand instead of liquid, snow and jelly, and Taichi a kernel of the same published law. Runs alternate
-on the same number of threads. Prints a table: microseconds per substep (fastest of five parts of a round; median of
-the rounds), the speed-up of eddy (median of the rounds' ratios), and the largest difference of a coordinate after 20
-and 200 substeps.
-Exits with 1 if eddy is slower, or if a difference exceeds its tolerance at 2,500 particles; with more
+`eddy-lab bench solver --output` writes bags with the initial state and eddy's states after 20 and
+200 substeps. This script runs Taichi's mpm128 example from the same initial states; with --sand
+both have blocks of sand instead of liquid, snow and jelly, and Taichi a kernel of the same
+published law. Runs alternate on the same number of threads. Prints a table: microseconds per
+substep (fastest of five parts of a round; median of the rounds), the speed-up of eddy (median of
+the rounds' ratios), and the largest difference of a coordinate after 20 and 200 substeps. Exits
+with 1 if eddy is slower, or if a difference exceeds its tolerance at 2,500 particles; with more
 particles and finer cells, the largest difference grows.
 
     pip install -r tests/peers/requirements-bench.txt
@@ -35,7 +35,8 @@ FRAME = "eddy_msgs/msg/ParticleFrame"
 TOLERANCE = {20: 1e-6, 200: 1e-5}
 # The same for sand, whose particles part and touch at other substeps.
 SAND_TOLERANCE = {20: 1e-6, 200: 2e-5}
-# Substeps before a measurement, and parts of a round, of which the fastest counts; as in `eddy-lab bench solver`.
+# Substeps before a measurement, and parts of a round, of which the fastest counts; those of
+# `eddy-lab bench solver`.
 WARM_UP, PARTS = 32, 5
 
 
@@ -106,12 +107,13 @@ def main():
     options = parser.parse_args()
     if options.threads is None:
         # Taichi's number of threads is fixed per process.
-        print("particles       grid  threads   eddy us  taichi us  times  after 20  after 200", flush=True)
+        print(
+            "particles       grid  threads   eddy us  taichi us  times  after 20  after 200",
+            flush=True,
+        )
         runs = [[sys.executable, *sys.argv, "--threads", str(threads)] for threads in (1, 2)]
         raise SystemExit(max(subprocess.run(run, check=False).returncode for run in runs))
-    ti.init(
-        arch=ti.cpu, cpu_max_num_threads=options.threads, default_fp=ti.f32, log_level=ti.WARN
-    )
+    ti.init(arch=ti.cpu, cpu_max_num_threads=options.threads, default_fp=ti.f32, log_level=ti.WARN)
     good = [compare(options, particles) for particles in options.particles]
     raise SystemExit(0 if all(good) else 1)
 
