@@ -28,7 +28,10 @@ const FALL: f32 = 2.0;
 /// Initial rotation of the blocks (rad/s).
 const SPIN: f32 = 5.0;
 
-/// Three blocks of liquid, snow and jelly that are thrown onto the floor of the unit square.
+/// Materials of the blocks by default.
+pub const MIXED: [Material; 3] = [Material::Liquid, Material::Snow, Material::Jelly];
+
+/// Three blocks that are thrown onto the floor of the unit square.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Initial particles.
@@ -57,11 +60,16 @@ pub struct Timing {
 }
 
 impl Case {
-    /// Equal numbers of particles of each material, on a grid with `cells` cells on a side.
-    pub fn new(particles: usize, cells: u32, law: Law, threads: usize) -> Self {
+    /// Equal numbers of particles in each block, on a grid with `cells` cells on a side.
+    pub fn new(
+        particles: usize,
+        cells: u32,
+        blocks: [Material; 3],
+        law: Law,
+        threads: usize,
+    ) -> Self {
         let grid = GridShape::unit(cells);
         let spacing = 0.5 * grid.dx;
-        let blocks = [Material::Liquid, Material::Snow, Material::Jelly];
         let start = blocks.iter().enumerate().flat_map(|(k, &material)| {
             let count = (particles + k) / blocks.len();
             let side = (count as f32).sqrt() as usize;

@@ -195,6 +195,9 @@ pub struct BenchSolverArgs {
     /// Constitutive law of liquids: water, settling (water that comes to rest), or that of Taichi's mpm128.
     #[arg(long, value_enum, default_value_t = Law::default())]
     pub law: Law,
+    /// Three blocks of sand instead of liquid, snow and jelly.
+    #[arg(long)]
+    pub sand: bool,
     /// Approximate duration of each case (s).
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,

@@ -9,11 +9,11 @@ use super::args::BenchSolverArgs;
 use super::{BenchOutput, table};
 use crate::bench::{
     limit::Limit,
-    solver::{CASES, COMPARED, Case, Timing},
+    solver::{CASES, COMPARED, Case, MIXED, Timing},
 };
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_dataset::TRUTH_TOPIC;
-use eddy_frames::progress::Progress;
+use eddy_frames::{Material, progress::Progress};
 use eddy_messages::{FrameCdr, Message, ParticleFrame};
 use eddy_mpm::{GRAVITY, Law, Materials};
 use eddy_pages::{Axis, LinePlot, Series};
@@ -24,6 +24,8 @@ use eddy_settings::{ensure_usage, usage::Usage};
 struct SolverReport {
     law: Law,
     stiffness: f32,
+    /// Angle of internal friction of sand (degrees).
+    friction_angle_degrees: f32,
     gravity: f32,
     /// Substeps of the frames in the bags.
     compared: [u32; 3],
@@ -54,11 +56,12 @@ pub fn run(
         args.threads
     );
     ensure_usage!(args.seconds > 0.0, "seconds: found {}, expected more than 0", args.seconds);
+    let blocks = if args.sand { [Material::Sand; 3] } else { MIXED };
     if let Some(output) = &args.output {
         fs::create_dir_all(output)
             .with_context(|| format!("cannot create {}", output.display()))?;
         for &(particles, cells) in &cases {
-            write_bag(&Case::new(particles, cells, args.law, 1), output)?;
+            write_bag(&Case::new(particles, cells, blocks, args.law, 1), output)?;
         }
     }
     progress.begin((cases.len() * args.threads.len()) as u64, "cases");
@@ -68,7 +71,7 @@ pub fn run(
         limits.push(limit);
         for &(particles, cells) in &cases {
             ensure!(!progress.cancelled(), "interrupted");
-            let case = Case::new(particles, cells, args.law, threads);
+            let case = Case::new(particles, cells, blocks, args.law, threads);
             let timing = case
                 .time(args.seconds, &limit)
                 .map_err(|lost| anyhow!("{particles} particles: particle {lost} left the grid"))?;
@@ -77,10 +80,11 @@ pub fn run(
         }
     }
     progress.finish();
-    let output = output(&timings, &limits);
-    let Materials { stiffness, .. } = Materials::default();
+    let output = output(&timings, &limits, args.sand);
+    let Materials { stiffness, friction_angle_degrees, .. } = Materials::default();
     let (law, gravity, compared) = (args.law, GRAVITY, COMPARED);
-    let report = SolverReport { law, stiffness, gravity, compared, limits, timings };
+    let report =
+        SolverReport { law, stiffness, friction_angle_degrees, gravity, compared, limits, timings };
     output.show(&report, args.json, html)
 }
 
@@ -104,7 +108,7 @@ fn write_bag(case: &Case, output: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn output(timings: &[Timing], limits: &[Limit]) -> BenchOutput {
+fn output(timings: &[Timing], limits: &[Limit], sand: bool) -> BenchOutput {
     let header = ["particles", "grid", "threads", "us/substep", "ns/particle", "of limit"];
     let rows = timings.iter().map(|timing| {
         vec![
@@ -116,7 +120,8 @@ fn output(timings: &[Timing], limits: &[Limit]) -> BenchOutput {
             format!("{:.0} %", 100.0 * timing.share_of_limit),
         ]
     });
-    let first = "liquid, snow and jelly in equal parts; fastest of 5 rounds".to_owned();
+    let matter = if sand { "sand" } else { "liquid, snow and jelly in equal parts" };
+    let first = format!("{matter}; fastest of 5 rounds");
     let limit = |Limit { threads, operations, bytes }: &Limit| {
         format!(
             "limit (--threads {threads}): {:.0} G operations/s in vectors, {:.1} GB/s of memory",
