@@ -190,6 +190,10 @@ mod tests {
         assert_eq!(tree.at("cup", "world", Stamp(9)), Reading::TooEarly(NOW));
         tree.add(["world", "base"], NOW, at(0.0, 1.0, 0.0), false).unwrap();
         assert_eq!(tree.at("cup", "world", NOW), Reading::Known(held));
+        // The oldest of several late ones is named.
+        let [next, later] = [Stamp(NOW.0 + 1), Stamp(NOW.0 + 2)];
+        tree.add(["world", "base"], next, at(0.0, 1.0, 0.0), false).unwrap();
+        assert_eq!(tree.at("cup", "world", later), Reading::NotYet(held, NOW));
         // Under another parent it begins anew.
         tree.add(["map", "base"], NOW, at(0.0, 1.0, 0.0), false).unwrap();
         let found = missing(tree.at("cup", "world", NOW));
