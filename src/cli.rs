@@ -7,6 +7,7 @@ mod examples;
 mod node;
 mod service;
 mod simulate;
+mod tools;
 mod topic;
 mod topics;
 
@@ -44,6 +45,7 @@ pub use service::{
     ServiceListArgs,
 };
 pub use simulate::SimulateArgs;
+pub use tools::ToolsArgs;
 pub use topic::{TopicArgs, TopicCommand, TopicEchoArgs, TopicHzArgs, TopicListArgs};
 
 /// Recurrent surrogates for particle simulations, as ROS 2 / Zenoh nodes.
@@ -73,6 +75,10 @@ pub enum Command {
     Train(TrainArgs),
     /// Predict frames of live streams.
     Node(NodeArgs),
+    /// Publish where a robot's tools are at each frame.
+    ///
+    /// Their poses come from topics or from /tf, and are paired with frames of particles by their stamps.
+    Tools(ToolsArgs),
     /// Predict frames of a bag, with the code of the node.
     Predict(PredictArgs),
     /// Evaluate checkpoints by free rollouts over bags.
@@ -178,14 +184,15 @@ impl Command {
         match self {
             Self::Node(NodeArgs { ros, .. })
             | Self::Record(RecordArgs { ros, .. })
-            | Self::Replay(ReplayArgs { ros, .. }) => &ros.ros_args,
+            | Self::Replay(ReplayArgs { ros, .. })
+            | Self::Tools(ToolsArgs { ros, .. }) => &ros.ros_args,
             _ => &[],
         }
     }
 
     /// Whether the log of this command is published on `/rosout`. A recorder would record its own.
     pub fn has_log_topic(&self) -> bool {
-        matches!(self, Self::Node(_) | Self::Replay(_))
+        matches!(self, Self::Node(_) | Self::Replay(_) | Self::Tools(_))
     }
 
     /// Default name of the node that this command runs.
@@ -193,6 +200,7 @@ impl Command {
         match self {
             Self::Record(_) => "eddy_record",
             Self::Replay(_) => "eddy_replay",
+            Self::Tools(_) => "eddy_tools",
             _ => "eddy_node",
         }
     }

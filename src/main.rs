@@ -73,6 +73,9 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         }
         Command::Train(args) => commands::train::run(args, quiet, &interrupt),
         Command::Node(args) => commands::node::run(args, &ros, rosout.as_ref(), quiet, &interrupt),
+        Command::Tools(args) => {
+            commands::tools::run(&args, &ros, rosout.as_ref(), quiet, &interrupt)
+        }
         Command::Predict(args) => commands::predict::run(args, quiet, &interrupt),
         Command::Calibrate(args) => commands::calibrate::run(&args, quiet, &interrupt),
         Command::Eval(args) => commands::eval::run(args, quiet, &interrupt),

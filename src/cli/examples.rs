@@ -51,6 +51,13 @@ pub(super) const EXAMPLES: &[Examples] = &[
         ],
     ),
     (
+        "tools",
+        &[
+            "eddy tools launch_configs/tools/robot.toml",
+            "eddy tools launch_configs/tools/robot.toml --input dds:/particles --wait 0.05",
+        ],
+    ),
+    (
         "predict",
         &[
             "eddy predict --input bags/sample --output bags/predicted",

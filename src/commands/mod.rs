@@ -14,6 +14,7 @@ pub mod record;
 pub mod replay;
 pub mod service;
 pub mod simulate;
+pub mod tools;
 pub mod topic;
 pub mod train;
 
@@ -21,7 +22,6 @@ mod keyboard;
 mod search;
 mod streams;
 mod surrogate;
-mod tool_topics;
 
 pub(crate) use eddy_frames::counted;
 

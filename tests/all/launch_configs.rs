@@ -32,6 +32,7 @@ macro_rules! files {
 
 files! {
     the_node_runs_with_its_settings: "node/lookahead.toml" => node,
+    the_tools_of_a_robot_are_followed: "tools/robot.toml" => tools,
     the_paper_s_network_is_trained_with_its_settings: "train/frame.toml" => |name| train(name, "frame min"),
     the_paper_s_mingru_is_trained_with_its_settings: "train/frame_mingru.toml" => |name| {
         train(name, "frame min");
@@ -67,6 +68,15 @@ files! {
         let topics = [("/free_run/particles", 20), ("/free_run/prediction", 10)];
         launch(name, "free_run", "free_run", &topics);
     },
+}
+
+fn tools(name: &str) {
+    let mut command = talking_eddy();
+    let input = format!("shm:/{}/particles", unique("launch"));
+    command.args(["tools", &file(name), "--input", &input]);
+    let mut follower = Process::start_until(&mut command, "2 tools beside shm:");
+    follower.interrupt();
+    assert!(follower.wait().success());
 }
 
 fn node(name: &str) {

@@ -35,6 +35,7 @@ mod record;
 mod reference;
 mod render;
 mod replay;
+mod robots;
 mod ros;
 mod scenes;
 mod secure;

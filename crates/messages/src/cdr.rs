@@ -105,7 +105,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{Header, ParticleFrame, RosString, Time};
+    use crate::{
+        Header, ParticleFrame, Point, Pose, PoseStamped, Quaternion, RosString, TFMessage, Time,
+        Transform, TransformStamped, Vector3,
+    };
 
     /// Written with rosbags 0.11.9: `typestore.serialize_cdr(String("eddy"), "std_msgs/msg/String")`.
     const STRING_EDDY: [u8; 13] = [0, 1, 0, 0, 5, 0, 0, 0, b'e', b'd', b'd', b'y', 0];
@@ -113,6 +116,29 @@ mod tests {
     #[test]
     fn a_string_has_the_bytes_that_rosbags_writes() {
         assert_eq!(encode(&RosString { data: "eddy".into() }), STRING_EDDY);
+    }
+
+    #[test]
+    fn poses_and_transforms_have_the_bytes_that_rosbags_writes() {
+        let header = Header { stamp: Time { sec: 1, nanosec: 2 }, frame_id: "world".into() };
+        let orientation = Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 };
+        let pose = Pose { position: Point { x: 0.5, y: 0.25, z: 0.0 }, orientation };
+        let translation = Vector3 { x: 0.5, y: 0.25, z: 0.0 };
+        let transform = TransformStamped {
+            header: header.clone(),
+            child_frame_id: "cup".into(),
+            transform: Transform { translation, rotation: orientation },
+        };
+        let numbers = [0.5f64, 0.25, 0.0, 0.0, 0.0, 0.6, 0.8].map(f64::to_le_bytes).concat();
+        // `typestore.serialize_cdr` of rosbags 0.11.9; both end with the same seven numbers.
+        let head = b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x06\0\0\0world\0\0\0\0\0\0\0";
+        let stamped = PoseStamped { header, pose };
+        assert_eq!(encode(&stamped), [&head[..], &numbers].concat());
+        let head = b"\0\x01\0\0\x01\0\0\0\x01\0\0\0\x02\0\0\0\x06\0\0\0world\0\0\0\x04\0\0\0cup\0";
+        let message = TFMessage { transforms: vec![transform] };
+        let bytes = [&head[..], &numbers].concat();
+        assert_eq!(encode(&message), bytes);
+        assert_eq!(decode::<TFMessage>(&bytes), Ok(message));
     }
 
     #[test]

@@ -38,8 +38,9 @@ pub use definition::InvalidDefinition;
 pub use library::{names as built_in_types, text_of as built_in_text};
 pub use messages::{
     Clock, DiagnosticArray, DiagnosticStatus, Header, KeyValue, Log, ParameterEvent, ParticleFrame,
-    Point, PointCloud2, PointField, Pose, PredictionStatus, Quaternion, RosString, StreamState,
-    Time, Tool, ToolDescription, ToolFrame, ToolPart, Twist, Vector3, Wrench,
+    Point, PointCloud2, PointField, Pose, PoseStamped, PredictionStatus, Quaternion, RosString,
+    StreamState, TFMessage, Time, Tool, ToolDescription, ToolFrame, ToolPart, Transform,
+    TransformStamped, Twist, Vector3, Wrench,
 };
 pub use qos::{QosProfile, TOOL_DESCRIPTION_QOS};
 pub use schema::{TypeSupport, UnknownType, type_support};

@@ -211,6 +211,50 @@ pub struct Pose {
     pub orientation: Quaternion,
 }
 
+/// `geometry_msgs/msg/PoseStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseStamped {
+    /// Stamp, and the coordinate frame of the pose.
+    pub header: Header,
+    /// The pose.
+    pub pose: Pose,
+}
+
+impl Message for PoseStamped {
+    const TYPE: &'static str = "geometry_msgs/msg/PoseStamped";
+}
+
+/// `geometry_msgs/msg/Transform`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transform {
+    /// Where the origin of the child is in its parent.
+    pub translation: Vector3,
+    /// The child's rotation in its parent.
+    pub rotation: Quaternion,
+}
+
+/// `geometry_msgs/msg/TransformStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformStamped {
+    /// Stamp, and the parent coordinate frame.
+    pub header: Header,
+    /// The child coordinate frame.
+    pub child_frame_id: String,
+    /// The pose of the child in its parent.
+    pub transform: Transform,
+}
+
+/// `tf2_msgs/msg/TFMessage`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TFMessage {
+    /// Transforms between coordinate frames.
+    pub transforms: Vec<TransformStamped>,
+}
+
+impl Message for TFMessage {
+    const TYPE: &'static str = "tf2_msgs/msg/TFMessage";
+}
+
 /// `geometry_msgs/msg/Twist`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist {

@@ -189,7 +189,8 @@ mod tests {
     use super::*;
     use crate::{
         Clock, DiagnosticArray, Log, Message, ParameterEvent, ParticleFrame, PointCloud2,
-        PredictionStatus, RosString, ToolDescription, ToolFrame, lifecycle::TransitionEvent,
+        PoseStamped, PredictionStatus, RosString, TFMessage, ToolDescription, ToolFrame,
+        lifecycle::TransitionEvent,
     };
 
     #[test]
@@ -215,6 +216,9 @@ mod tests {
                 ParameterEvent::TYPE,
                 "043e627780fcad87a22d225bc2a037361dba713fca6a6b9f4b869a5aa0393204",
             ),
+            // rosbags 0.11.9: `get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)`.
+            (PoseStamped::TYPE, "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"),
+            (TFMessage::TYPE, "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"),
         ] {
             assert_eq!(type_support(name).unwrap().hash, format!("RIHS01_{hash}"), "{name}");
         }
@@ -281,6 +285,8 @@ mod tests {
         agree::<RosString>();
         agree::<ToolDescription>();
         agree::<ToolFrame>();
+        agree::<PoseStamped>();
+        agree::<TFMessage>();
         agree::<Log>();
         agree::<TransitionEvent>();
     }

@@ -244,32 +244,54 @@ impl From<&tool::Wrench> for Wrench {
     }
 }
 
+impl Pose {
+    /// Position and angle in the plane, the angle above -pi and at most pi (domain lengths, rad); `field` is its name in messages.
+    ///
+    /// # Errors
+    /// [`InvalidTool`] for a number that is not finite or does not lie in the plane, and a quaternion without a length of 1.
+    pub fn in_plane(&self, field: &str) -> Result<([f64; 2], f64), InvalidTool> {
+        let Self { position, orientation: Quaternion { x, y, z, w } } = *self;
+        flat(field, "position", &[position.x, position.y], &[position.z])?;
+        flat(field, "orientation", &[z, w], &[x, y])?;
+        self.orientation.check(field)?;
+        // q and -q are the same rotation: the one with w >= 0 is by at most half a turn.
+        let half = if w < 0.0 { libm::atan2(0.0 - z, 0.0 - w) } else { libm::atan2(z, w) };
+        Ok(([position.x, position.y], 2.0 * half))
+    }
+
+    /// Checks that its numbers are finite and that its quaternion is a rotation in space; `field` is its name in messages.
+    ///
+    /// # Errors
+    /// [`InvalidTool`].
+    pub fn check(&self, field: &str) -> Result<(), InvalidTool> {
+        let Point { x, y, z } = self.position;
+        flat(field, "position", &[x, y, z], &[])?;
+        self.orientation.check(field)
+    }
+}
+
+impl Quaternion {
+    /// Checks that its length is 1.
+    fn check(&self, field: &str) -> Result<(), InvalidTool> {
+        let Self { x, y, z, w } = self;
+        let length = (x * x + y * y + z * z + w * w).sqrt();
+        if (length - 1.0).abs() <= TOLERANCE {
+            return Ok(());
+        }
+        let (field, found) = (format!("{field}.orientation"), format!("a length of {length}"));
+        Err(InvalidTool::new(field, found, "a quaternion of length 1"))
+    }
+}
+
 /// Pose and velocity of the tool with this index in its message. The angle is above -pi and at most pi.
 fn state(pose: &Pose, twist: &Twist, index: usize) -> Result<ToolState, InvalidTool> {
-    let Pose { position, orientation: Quaternion { x, y, z, w } } = *pose;
-    let field = format!("poses[{index}]");
-    flat(&field, "position", &[position.x, position.y], &[position.z])?;
-    flat(&field, "orientation", &[z, w], &[x, y])?;
-    let length = (z * z + w * w).sqrt();
-    if (length - 1.0).abs() > TOLERANCE {
-        let expected = "a quaternion of length 1";
-        return Err(InvalidTool::new(
-            format!("{field}.orientation"),
-            format!("a length of {length}"),
-            expected,
-        ));
-    }
+    let ([x, y], angle) = pose.in_plane(&format!("poses[{index}]"))?;
     let Twist { linear, angular } = *twist;
     let field = format!("twists[{index}]");
     flat(&field, "linear", &[linear.x, linear.y], &[linear.z])?;
     flat(&field, "angular", &[angular.z], &[angular.x, angular.y])?;
-    // q and -q are the same rotation: the one with w >= 0 is by at most half a turn.
-    let half = if w < 0.0 { libm::atan2(0.0 - z, 0.0 - w) } else { libm::atan2(z, w) };
     Ok(ToolState {
-        pose: tool::Pose {
-            position: [position.x as f32, position.y as f32],
-            angle: (2.0 * half) as f32,
-        },
+        pose: tool::Pose { position: [x as f32, y as f32], angle: angle as f32 },
         velocity: [linear.x as f32, linear.y as f32],
         spin: angular.z as f32,
     })

@@ -8,8 +8,9 @@
 //! 5. [`player`]: a bag onto topics.
 //! 6. [`topics`]: finding, printing and measuring topics.
 //! 7. [`clients`]: services and parameters of other nodes.
-//! 8. [`viewer`]: the live page of any of them.
-//! 9. [`launch`]: several processes from one file.
+//! 8. [`tools`]: poses of a robot's tools beside frames.
+//! 9. [`viewer`]: the live page of any of them.
+//! 10. [`launch`]: several processes from one file.
 
 pub mod clients;
 pub mod launch;
@@ -19,6 +20,7 @@ mod requests;
 pub mod ros;
 mod service;
 pub mod surrogate;
+pub mod tools;
 pub mod topics;
 pub mod viewer;
 

@@ -23,7 +23,7 @@ use self::{
     scenes::{Progress, Scenes, Source},
     watch::{Printer, Recorded, Watch},
 };
-use super::{announce_page, eval::print_report, node::summary, surrogate, tool_topics::ToolTopics};
+use super::{announce_page, eval::print_report, node::summary, surrogate};
 use crate::cli::{DemoArgs, DemoScene};
 use eddy_bag::{BagWriter, WriterOptions};
 use eddy_cli::{Device, Interrupt, Output, OutputKind, TerminalProgress, unused};
@@ -38,6 +38,7 @@ use eddy_mpm::Scene;
 use eddy_node::{
     FrameQueue, NodeContext, NodeHandle, NodeSettings, OpenClock, Outputs, Pacer, PlayerHandle,
     Recorder, RosTime, SurrogateNode, drive,
+    tools::ToolTopics,
     viewer::{Comparison, ControlPanel, LivePage, PageInfo},
 };
 use eddy_transport::{Link, ListenAddress, Reliability, Subscriber, TransportOptions, Transports};

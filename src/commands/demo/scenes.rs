@@ -10,12 +10,12 @@ use std::{
 };
 
 use super::{SCENE, push};
-use crate::commands::tool_topics::ToolTopics;
 use eddy_frames::{Frame, FrameView, Material, Stamp};
 use eddy_messages::{self as msg, cdr};
 use eddy_mpm::{self as mpm, Preset, Scene, Simulation};
 use eddy_node::{
     NodeReport, Observer, Pacer, Prediction,
+    tools::ToolTopics,
     viewer::{Hub, ToolTarget},
 };
 use eddy_transport::Publisher;
@@ -154,9 +154,10 @@ pub(super) struct Source {
 impl Source {
     /// Says what the tools of the next scene are.
     fn describe(&mut self, scene: &Scene) -> anyhow::Result<()> {
-        let Some(topics) = &mut self.tools else { return Ok(()) };
-        let tools = scene.tools_of_stream();
-        if let (Some(hub), Some(tools)) = (&self.hub, &tools) {
+        let (Some(topics), Some(tools)) = (&mut self.tools, scene.tools_of_stream()) else {
+            return Ok(());
+        };
+        if let Some(hub) = &self.hub {
             hub.describes(tools.clone());
         }
         Ok(topics.describe(tools)?)

@@ -4,18 +4,17 @@ use anyhow::{Context, bail, ensure};
 
 use crate::{
     cli::SimulateArgs,
-    commands::{
-        leaves_the_process,
-        tool_topics::{ToolTopics, delivered_or_missed},
-        wait_for_subscribers,
-    },
+    commands::{leaves_the_process, wait_for_subscribers},
 };
 use eddy_cli::Interrupt;
 use eddy_dataset::simulate::{Job, Recording, Store};
 use eddy_frames::{Frame, clock::Clock};
 use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
 use eddy_mpm::{MpmError, Scene, Simulation};
-use eddy_node::Pacer;
+use eddy_node::{
+    Pacer,
+    tools::{ToolTopics, delivered_or_missed},
+};
 use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
 
 /// Minimum number of frames of a scene for a statement about its pace.
@@ -129,9 +128,9 @@ impl Topics {
 
     /// Publishes what the tools of the next scene are.
     fn describe(&mut self, scene: &Scene) -> Result<(), TransportError> {
-        match &mut self.tools {
-            Some(topics) => topics.describe(scene.tools_of_stream()),
-            None => Ok(()),
+        match (&mut self.tools, scene.tools_of_stream()) {
+            (Some(topics), Some(tools)) => topics.describe(tools),
+            _ => Ok(()),
         }
     }
 

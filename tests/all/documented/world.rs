@@ -233,6 +233,7 @@ fn endless(line: &str) -> bool {
     let bounded = ["--stop-after", "--max-messages", "--count", "--duration", "--help"];
     let lasting = has("node") && !has("bench")
         || has("record")
+        || has("tools")
         || has("echo")
         || has("hz")
         || has("replay") && has("--loop");

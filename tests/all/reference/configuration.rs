@@ -177,16 +177,19 @@ pub fn page() -> String {
         "crates/mpm/src/flow.rs",
         "crates/frames/src/lib.rs",
     ]);
+    let tools = Source::of(&["crates/node/src/tools/file.rs", "crates/frames/src/tool"]);
     format!(
         "# Configuration\n\n\
          Files are TOML and contain only what differs from the defaults. Unknown keys are rejected with a suggestion. `a.b` is the key `b` in the table `[a]`, `a[].b` the key `b` of each `[[a]]`.\n\n\
          ## Training\n\n`eddy train --config FILE`; command-line options override the file. Defaults depend on the `architecture`.\n\n{}\n\
          ## Node\n\n`eddy node --config FILE`; command-line options override the file, and ROS 2 parameters override both.\n\n{}\n\
          ## Launch\n\n`eddy launch FILE`\n\n{}\n\
-         ## Scene\n\n`eddy simulate --scene FILE`; [Write scenes](../how-to/scenes.md) has examples.\n\n{}",
+         ## Scene\n\n`eddy simulate --scene FILE`; [Write scenes](../how-to/scenes.md) has examples.\n\n{}\n\
+         ## Tools of a robot\n\n`eddy tools FILE`; [Tools of a robot](../how-to/ros.md#tools-of-a-robot) has an example.\n\n{}",
         training(),
         node(),
         table(&rows(&launch, launch.item("Plan"), "")),
         table(&rows(&scene, scene.item("Scene"), "")),
+        table(&rows(&tools, tools.item("ToolsFile"), "")),
     )
 }

@@ -174,12 +174,13 @@ fn members<'a>(
 fn styled(name: &str, style: &str) -> String {
     match style {
         "lowercase" => name.to_lowercase(),
-        "kebab-case" => {
-            let hyphen = |(at, c): (usize, char)| {
-                let gap = if at > 0 && c.is_uppercase() { "-" } else { "" };
+        "kebab-case" | "snake_case" => {
+            let between = if style == "kebab-case" { "-" } else { "_" };
+            let word = |(at, c): (usize, char)| {
+                let gap = if at > 0 && c.is_uppercase() { between } else { "" };
                 format!("{gap}{}", c.to_lowercase())
             };
-            name.chars().enumerate().map(|(at, c)| hyphen((at, c))).collect()
+            name.chars().enumerate().map(word).collect()
         }
         _ => name.to_owned(),
     }
@@ -226,5 +227,6 @@ enum Part {
         ["one-word", "a+b", "disc"]
     );
     assert_eq!(part.members[2].fields[0].name, "radius");
+    assert_eq!(styled("OneWord", "snake_case"), "one_word");
     assert_eq!(bare("Option<Vec<Part>>"), "Part");
 }
