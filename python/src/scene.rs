@@ -37,7 +37,7 @@ impl Scene {
         Self::checked(settings.py(), values::parse("settings", settings)?)
     }
 
-    /// A random scene of a preset (kinds, multi-material, fluid, stiff; with a tool push, pour, scoop). The same seed and id give the same scene.
+    /// A random scene of a preset (kinds, sand, multi-material, fluid, stiff; with a tool push, pour, scoop). The same seed and id give the same scene.
     #[staticmethod]
     #[pyo3(signature = (preset, *, seed=0, id=0, particles=None))]
     fn generate(preset: &str, seed: u64, id: u64, particles: Option<usize>) -> PyResult<Self> {

@@ -9,7 +9,7 @@ use super::{
 };
 use eddy_frames::Material;
 
-use Material::{Jelly, Liquid, Rope, Snow};
+use Material::{Jelly, Liquid, Rope, Sand, Snow};
 
 /// Materials of the bodies of a multi-material scene, by `id % 6`. These six scenes contain all ten pairs of four
 /// materials, including each with itself. So do any six consecutive scenes: the test part (54..59) and the
@@ -23,7 +23,7 @@ const MIXES: [&[Material]; 6] = [
     &[Snow, Rope],
 ];
 
-/// Materials of the scenes of one material. Sand is in scenes with tools only.
+/// Materials of the scenes of one material, and those that sand is mixed with in scenes of its own.
 const KINDS_ALONE: [Material; 4] = [Liquid, Snow, Jelly, Rope];
 /// Numbers of bodies of a scene of one material, by `id / 5 % 3`, and number of kinds of scenes: each material alone,
 /// then a mix.
@@ -167,6 +167,16 @@ fn set_of_bodies(extent: &Extent, set: usize, id: u64, rng: &mut ChaCha8Rng) -> 
             let parts = rng.random_range(1..=3);
             bodies_of(Liquid, particles, parts, spacing, rng)
         }
+        Preset::Sand => {
+            let (round, kind) = (id / 2 + set, id % 2);
+            match kind {
+                0 => bodies_of(Sand, particles, ALONE[round % ALONE.len()], spacing, rng),
+                _ => {
+                    let other = KINDS_ALONE[round % KINDS_ALONE.len()];
+                    mixed_bodies(&[Sand, other], particles, spacing, rng)
+                }
+            }
+        }
         // Scenes with tools have bodies of their own.
         Preset::Kinds | Preset::Push | Preset::Pour | Preset::Scoop => {
             let (round, kind) = (id / KINDS + set, id % KINDS);
@@ -259,7 +269,8 @@ mod tests {
 
     use super::{super::preset::PARTICLES, *};
 
-    const PRESETS: [Preset; 3] = [Preset::MultiMaterial, Preset::Fluid, Preset::Kinds];
+    const PRESETS: [Preset; 4] =
+        [Preset::MultiMaterial, Preset::Fluid, Preset::Kinds, Preset::Sand];
 
     #[test]
     fn the_same_seed_and_id_give_the_same_scene_and_others_another() {
@@ -439,6 +450,17 @@ mod tests {
                 Some(&alone) => assert_eq!(found, [alone], "{id}"),
                 None => assert_eq!(found.len(), 2, "{id}: {found:?}"),
             }
+        }
+    }
+
+    #[test]
+    fn scenes_of_sand_have_it_alone_and_beside_each_other_material_in_turn() {
+        let found: Vec<_> =
+            (0..8).map(|id| Scene::generate(Preset::Sand, 1, id).materials()).collect();
+        for (id, materials) in found.iter().enumerate() {
+            let other = KINDS_ALONE[id / 2];
+            let expected = if id % 2 == 0 { vec![Sand] } else { vec![other, Sand] };
+            assert_eq!(*materials, expected, "{id}");
         }
     }
 

@@ -26,6 +26,8 @@ pub enum Preset {
     /// Liquid, snow, jelly, rope and two materials together, in turn, 64 x 64 cells, 4.8 s: until
     /// little moves, and a while longer. The particle model is trained and evaluated on it.
     Kinds,
+    /// Bodies of sand, in turn alone and with liquid, snow, jelly or rope; otherwise as `kinds`.
+    Sand,
     /// A blade pushes a heap of sand, liquid, snow or jelly, in turn, 64 x 64 cells, 4.8 s.
     Push,
     /// A cup pours sand, liquid, snow or jelly, in turn, over a bed of the same, 64 x 64 cells, 4.8 s.
@@ -42,6 +44,7 @@ impl Preset {
             Self::Fluid => "fluid",
             Self::Stiff => "stiff",
             Self::Kinds => "kinds",
+            Self::Sand => "sand",
             Self::Push => "push",
             Self::Pour => "pour",
             Self::Scoop => "scoop",
@@ -76,7 +79,7 @@ impl Preset {
         let frames = match self {
             Self::MultiMaterial | Self::Stiff => Frames::default(),
             Self::Fluid => Frames { duration: 25.0, shortest: Some(5.0), ..Frames::default() },
-            Self::Kinds | Self::Push | Self::Pour | Self::Scoop => {
+            Self::Kinds | Self::Sand | Self::Push | Self::Pour | Self::Scoop => {
                 Frames { duration: 4.8, ..Frames::default() }
             }
         };

@@ -136,9 +136,13 @@ pub(super) fn start_from(
             return other("domain", found.to_string(), expected.to_string());
         }
     }
-    description.material_inputs = start.material_inputs;
-    description.format_version = Description::version(start.material_inputs);
-    let inputs = start.material_inputs;
+    // The particle model gets inputs for further materials, whose weights begin as zeros; the frame model's features would change.
+    let inputs = match description.architecture {
+        Architecture::Particle => start.material_inputs.max(description.material_inputs),
+        Architecture::Frame => start.material_inputs,
+    };
+    description.material_inputs = inputs;
+    description.format_version = Description::version(inputs);
     if let Some(material) =
         description.materials.iter().find(|&&kind| usize::from(kind as u8) >= inputs)
     {

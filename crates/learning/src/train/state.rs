@@ -47,7 +47,7 @@ fn seeds(config: &TrainConfig) -> [u64; 3] {
 }
 
 /// The weights before the first step of a run: those of the checkpoint that it starts from, or random ones; the same for all stiffnesses, if
-/// they are to have weights of their own and the checkpoint has one set, and 0 for the stiffness, if the checkpoint does not know it.
+/// they are to have weights of their own and the checkpoint has one set, and 0 for materials and the stiffness that the checkpoint does not know.
 pub(super) fn weights_at_start(
     config: &TrainConfig,
     description: &Description,
@@ -58,15 +58,12 @@ pub(super) fn weights_at_start(
         None => (initial_weights(description, weights), 0),
         Some(start) => (start.tensors.clone(), start.description.stiffness_knots.len()),
     };
-    if start.is_some_and(|start| start.description.stiffness != description.stiffness) {
-        // Layers that read the features read the stiffness as the last of them.
-        let place = particle_features(description) - 1;
-        for layer in Plan::new(description).layers {
-            if let Some(matrix) = tensors.get_mut(&layer.weight)
-                && matrix.shape[1] < layer.input
-            {
-                add_input(matrix, place);
-            }
+    let new = start.map_or(Vec::new(), |start| new_inputs(&start.description, description));
+    for layer in Plan::new(description).layers {
+        if let Some(matrix) = tensors.get_mut(&layer.weight)
+            && matrix.shape.last().is_some_and(|&width| width < layer.input)
+        {
+            new.iter().for_each(|&place| add_input(matrix, place));
         }
     }
     match (knots, description.stiffness_knots.len()) {
@@ -76,12 +73,22 @@ pub(super) fn weights_at_start(
     }
 }
 
-/// Inserts a column of zeros into a matrix `[output, input]`.
+/// The features of a particle that a network has and the one that it starts from has not, from the first on.
+fn new_inputs(start: &Description, description: &Description) -> Vec<usize> {
+    // Before the materials stands what every network has; the stiffness stands last.
+    let [first, end] = [start, description].map(|network| {
+        particle_features(network) - usize::from(network.stiffness)
+    });
+    let stiffness = (start.stiffness != description.stiffness).then_some(end);
+    (first..end).chain(stiffness).collect()
+}
+
+/// Inserts a column of zeros into matrices `[.., output, input]`.
 fn add_input(matrix: &mut Weights, place: usize) {
-    let columns = matrix.shape[1];
+    let Some(columns) = matrix.shape.last_mut() else { return };
     let row = |row: &[f32]| [&row[..place], &[0.0], &row[place..]].concat();
-    matrix.values = matrix.values.chunks(columns).flat_map(row).collect();
-    matrix.shape[1] = columns + 1;
+    matrix.values = matrix.values.chunks(*columns).flat_map(row).collect();
+    *columns += 1;
 }
 
 /// Weights in the order of the optimizer: that of the plan, those of each knot one after the other if there are several.
@@ -275,6 +282,22 @@ mod tests {
                 for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
                     assert!((found - expected).abs() < 1e-5, "{stiffness}: {found}, {expected}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn a_network_that_learns_of_sand_begins_as_the_one_without() {
+        let start = Checkpoint::shipped().unwrap();
+        let config = TrainConfig::defaults(Architecture::Particle);
+        let description = Description { material_inputs: 5, ..start.description.clone() };
+        let tensors = weights_at_start(&config, &description, Some(&start));
+        for stiffness in [1e3, 1e4] {
+            let expected = predicted(&start, Some(stiffness));
+            let checkpoint = Checkpoint::new(description.clone(), tensors.clone());
+            let found = predicted(&checkpoint, Some(stiffness));
+            for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                assert!((found - expected).abs() < 1e-5, "{stiffness}: {found}, {expected}");
             }
         }
     }
