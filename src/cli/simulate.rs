@@ -31,6 +31,10 @@ pub struct SimulateArgs {
     /// What happens when a subscriber cannot keep up.
     #[arg(long, value_enum, default_value_t = Reliability::Block, requires = "publish")]
     pub reliability: Reliability,
+    /// TOML file as `eddy tools` has: tools in place of the scene's, which move to the newest pose that has come on the transport of
+    /// --publish [default: the tools of the scene].
+    #[arg(long, value_name = "FILE", requires = "publish", conflicts_with = "output")]
+    pub tools: Option<PathBuf>,
     /// Number of threads: one per scene, the remaining ones work within the scenes [default: one per scene, at most one
     /// per core].
     #[arg(long, value_name = "N")]

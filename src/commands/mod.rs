@@ -108,7 +108,7 @@ pub(crate) fn publish_log(
 /// How long to wait for subscribers.
 const MAX_SUBSCRIBER_WAIT: Duration = Duration::from_secs(30);
 /// Interval between checks of their number.
-const POLL_INTERVAL: Duration = Duration::from_millis(20);
+pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Delay before a "waiting for subscribers" warning.
 const WARNING_DELAY: Duration = Duration::from_secs(3);
 

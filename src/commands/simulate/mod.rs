@@ -2,8 +2,9 @@
 //!
 //! 1. [`SceneArgs`](eddy_cli::SceneArgs): scenes from a preset and a seed, or from a file.
 //! 2. [`eddy_dataset::simulate`]: missing scenes, in parallel, each into a bag.
-//! 3. [`publish`]: scenes one after the other in real time.
+//! 3. [`publish`]: scenes one after the other in real time. [`live_tools`]: their tools, if messages move them.
 
+mod live_tools;
 mod publish;
 
 use anyhow::bail;

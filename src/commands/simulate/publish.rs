@@ -1,7 +1,10 @@
 //! A live source: scenes one after the other, each a stream, with `/clock`.
 
+use std::path::PathBuf;
+
 use anyhow::{Context, bail, ensure};
 
+use super::live_tools::LiveTools;
 use crate::{
     cli::SimulateArgs,
     commands::{leaves_the_process, wait_for_subscribers},
@@ -13,10 +16,13 @@ use eddy_messages::{self as msg, Message, ParticleFrame, cdr};
 use eddy_mpm::{MpmError, Scene, Simulation};
 use eddy_node::{
     Pacer,
+    ros::RosArguments,
     tools::{ToolTopics, delivered_or_missed},
 };
 use eddy_transport::{Link, Publisher, TransportError, TransportOptions, Transports};
 
+/// The name of the source on its transport.
+const NAME: &str = "eddy_simulate";
 /// Minimum number of frames of a scene for a statement about its pace.
 const MIN_PACE_FRAMES: u32 = 30;
 
@@ -32,24 +38,34 @@ pub(super) fn run(
     let rate = args.rate;
     leaves_the_process(link)?;
     // Sessions end with it, hence it lives until the last message is sent.
-    let transports =
-        Transports::stopped_by(interrupt.shared(), TransportOptions::from_env("eddy_simulate")?);
+    let transports = Transports::stopped_by(interrupt.shared(), TransportOptions::from_env(NAME)?);
+    let ros = RosArguments::default().node(NAME);
+    let open = |file: &PathBuf| LiveTools::open(file, &transports, link, &ros);
+    let mut live = args.tools.as_ref().map(open).transpose()?;
     let mut topics = Topics::open(&transports, link, args, job)?;
     println!("publishing on {link} at {rate} x real time, simulated time on {}", topics.clock_link);
     let ready = wait_for_subscribers(link, topics.frames.as_ref(), args.wait_for, interrupt)?;
     if !ready {
         return Ok(());
     }
-    for scene in job.planned() {
-        let name = job.scene_name(scene.start.id);
+    for planned in job.planned() {
+        let name = job.scene_name(planned.start.id);
+        let mut scene = planned.clone();
+        if let Some(live) = &mut live {
+            let Some(tools) = live.begin(interrupt)? else { return Ok(()) };
+            scene.start.scene.tools = tools;
+        }
         let clock = Clock::start();
-        let mut simulation = job.start(scene).with_context(|| name.clone())?;
+        let mut simulation = job.start(&scene).with_context(|| name.clone())?;
         topics.describe(&scene.start.scene)?;
         let mut recording = store.map(|store| Recording::begin(store, &scene.start)).transpose()?;
         let mut frames = 0;
         let stop = || interrupt.requested();
         let mut cancelled = false;
         let next = |simulation: &mut Simulation| -> anyhow::Result<_> {
+            if let (Some(live), true) = (&mut live, simulation.has_begun()) {
+                live.steer(simulation)?;
+            }
             match simulation.next_frame_unless(&|| interrupt.requested()) {
                 Err(MpmError::Cancelled) => {
                     cancelled = true;
@@ -111,7 +127,8 @@ impl Topics {
         args: &SimulateArgs,
         job: &Job,
     ) -> Result<Self, TransportError> {
-        let has_tools = job.planned().iter().any(|scene| !scene.start.scene.tools.is_empty());
+        let has_tools = args.tools.is_some()
+            || job.planned().iter().any(|scene| !scene.start.scene.tools.is_empty());
         let clock_link = Link { transport: link.transport, topic: "/clock".into() };
         let open = |link: &Link, kind: &str| transports.publisher(link, kind, args.reliability);
         Ok(Self {

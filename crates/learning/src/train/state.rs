@@ -76,9 +76,8 @@ pub(super) fn weights_at_start(
 /// The features of a particle that a network has and the one that it starts from has not, from the first on.
 fn new_inputs(start: &Description, description: &Description) -> Vec<usize> {
     // Before the materials stands what every network has; the stiffness stands last.
-    let [first, end] = [start, description].map(|network| {
-        particle_features(network) - usize::from(network.stiffness)
-    });
+    let [first, end] = [start, description]
+        .map(|network| particle_features(network) - usize::from(network.stiffness));
     let stiffness = (start.stiffness != description.stiffness).then_some(end);
     (first..end).chain(stiffness).collect()
 }

@@ -30,10 +30,21 @@ enum Event {
     Unreadable(String),
 }
 
+impl Event {
+    fn reach(self, follower: &mut ToolFollower, now: Duration) {
+        match self {
+            Self::Frame(place) => follower.on_frame(place, now),
+            Self::Pose(topic, pose) => follower.on_pose(&topic, &pose, now),
+            Self::Transforms(tree, is_static) => follower.on_transforms(&tree, is_static, now),
+            Self::Unreadable(reason) => follower.on_unreadable(&reason, now),
+        }
+    }
+}
+
 /// Makes an event of a message.
 type Reader = Box<dyn Fn(Payload) -> Event + Send>;
 
-/// The subscriptions of a follower of tools.
+/// What a follower of tools subscribes to.
 pub struct ToolInputs {
     all: Vec<(Box<dyn Subscriber>, Reader)>,
 }
@@ -49,20 +60,55 @@ impl ToolInputs {
         follower: &ToolFollower,
         ros: &RosNode,
     ) -> Result<Self, TransportError> {
-        let mut all = vec![(transports.subscriber(frames, ParticleFrame::TYPE)?, frame(frames))];
+        let mut inputs = Self::poses(transports, frames, follower, ros)?;
+        let subscriber = transports.subscriber(frames, ParticleFrame::TYPE)?;
+        inputs.all.push((subscriber, frame(frames)));
+        Ok(inputs)
+    }
+
+    /// Subscribes to the poses that a follower needs, on the transport of a link.
+    ///
+    /// # Errors
+    /// [`TransportError`].
+    pub fn poses(
+        transports: &Transports,
+        beside: &Link,
+        follower: &ToolFollower,
+        ros: &RosNode,
+    ) -> Result<Self, TransportError> {
+        let mut all = Vec::new();
         for topic in follower.pose_topics() {
-            let link = frames.with_topic(&topic);
+            let link = beside.with_topic(&topic);
             let topic: Arc<str> = topic.into();
             let read = of_cdr(&link, move |pose| Event::Pose(Arc::clone(&topic), pose));
             all.push((transports.subscriber(&link, PoseStamped::TYPE)?, read));
         }
         let trees = [("/tf", false), ("/tf_static", true)];
         for (topic, is_static) in trees.into_iter().filter(|_| follower.needs_transforms()) {
-            let link = ros.link(&frames.with_topic(topic));
+            let link = ros.link(&beside.with_topic(topic));
             let read = of_cdr(&link, move |tree| Event::Transforms(tree, is_static));
             all.push((transports.subscriber(&link, TFMessage::TYPE)?, read));
         }
         Ok(Self { all })
+    }
+
+    /// Gives a follower what has arrived, without waiting for more.
+    ///
+    /// # Errors
+    /// [`TransportError`].
+    pub fn drain(
+        &mut self,
+        follower: &mut ToolFollower,
+        now: Duration,
+    ) -> Result<(), TransportError> {
+        for (subscriber, read) in &mut self.all {
+            // A flood ends, too.
+            for _ in 0..QUEUE_MESSAGES {
+                let Some(payload) = subscriber.receive(Duration::ZERO)? else { break };
+                read(payload).reach(follower, now);
+            }
+        }
+        Ok(())
     }
 }
 
@@ -156,14 +202,8 @@ fn run(
         let due = follower.next_due().map(|due| due.saturating_sub(clock.now()));
         let event = queue.pop(due.unwrap_or(MAX_WAIT).min(MAX_WAIT));
         let now = clock.now();
-        match event {
-            Some(Event::Frame(place)) => follower.on_frame(place, now),
-            Some(Event::Pose(topic, pose)) => follower.on_pose(&topic, &pose, now),
-            Some(Event::Transforms(tree, is_static)) => {
-                follower.on_transforms(&tree, is_static, now);
-            }
-            Some(Event::Unreadable(reason)) => follower.on_unreadable(&reason, now),
-            None => {}
+        if let Some(event) = event {
+            event.reach(follower, now);
         }
         let frames = follower.due(now);
         publish(follower, topics, &frames)?;

@@ -60,6 +60,16 @@ pub struct ToolFollower {
     warnings: Warnings,
 }
 
+/// A tool without a pose, and why.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{tool}: {reason}")]
+pub struct NoPose {
+    /// The tool and the source of its poses.
+    pub tool: String,
+    /// What was found, and what was expected.
+    pub reason: InvalidTool,
+}
+
 /// A tool and where its poses come from.
 #[derive(Debug)]
 struct Followed {
@@ -176,6 +186,23 @@ impl ToolFollower {
             frames.extend(self.resolve(place, &readings, now));
         }
         frames
+    }
+
+    /// Where each tool was last, whatever the stamps.
+    ///
+    /// # Errors
+    /// [`NoPose`] for the first that has none in the plane.
+    pub fn newest(&self) -> Result<Vec<Pose>, NoPose> {
+        let place = FramePlace { stream: 0, sequence: 0, stamp: Stamp(i64::MAX) };
+        let newest = |tool: &Followed| {
+            let pose = match self.read(tool, place) {
+                Reading::Known(moving) | Reading::NotYet(moving, _) => state(&moving),
+                Reading::Missing(found, expected) => Err(InvalidTool::new("pose", found, expected)),
+                Reading::TooEarly(_) => unreachable!("no stamp is later"),
+            };
+            pose.map(|state| state.pose).map_err(|reason| NoPose { tool: tool.to_string(), reason })
+        };
+        self.tools.iter().map(newest).collect()
     }
 
     /// All frames that still wait, at the end.

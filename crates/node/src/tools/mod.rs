@@ -18,5 +18,5 @@ mod warnings;
 
 pub use drive::{ToolInputs, follow};
 pub use file::{FollowedTool, ToolsFile};
-pub use follower::{FollowCounts, FramePlace, ToolFollower};
+pub use follower::{FollowCounts, FramePlace, NoPose, ToolFollower};
 pub use topics::{ToolTopics, delivered_or_missed};

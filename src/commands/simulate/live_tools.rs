@@ -1,0 +1,106 @@
+//! Tools of a live source that move as messages say.
+
+use std::{path::Path, thread, time::Duration};
+
+use anyhow::{Context as _, bail};
+
+use crate::commands::POLL_INTERVAL;
+use eddy_cli::Interrupt;
+use eddy_frames::clock::Clock;
+use eddy_mpm::{Keyframe, Simulation, Tool};
+use eddy_node::{
+    ros::RosNode,
+    tools::{FollowedTool, ToolFollower, ToolInputs, ToolsFile},
+};
+use eddy_settings as config;
+use eddy_transport::{Link, Transports};
+
+/// Longest wait for the first poses.
+const MAX_POSE_WAIT: Duration = Duration::from_secs(30);
+
+/// Tools, and the messages that say where they are.
+pub(super) struct LiveTools {
+    tools: Vec<FollowedTool>,
+    follower: ToolFollower,
+    inputs: ToolInputs,
+    clock: Clock,
+    /// A tool has no pose, which was said.
+    is_lost: bool,
+}
+
+impl LiveTools {
+    /// Subscribes to the poses of the tools of a file, on the transport of a link.
+    pub(super) fn open(
+        file: &Path,
+        transports: &Transports,
+        beside: &Link,
+        ros: &RosNode,
+    ) -> anyhow::Result<Self> {
+        let ToolsFile { tools } = config::load::<ToolsFile>(file)?.renamed(ros);
+        let named = || file.display().to_string();
+        let content = ToolsFile { tools: tools.clone() };
+        let follower = ToolFollower::new(&content, Duration::ZERO).with_context(named)?;
+        let inputs = ToolInputs::poses(transports, beside, &follower, ros)?;
+        Ok(Self { tools, follower, inputs, clock: Clock::start(), is_lost: false })
+    }
+
+    /// Waits until all tools have poses, and returns them there; `None` if interrupted.
+    pub(super) fn begin(&mut self, interrupt: &Interrupt) -> anyhow::Result<Option<Vec<Tool>>> {
+        let began = self.clock.now();
+        while !interrupt.requested() {
+            self.receive()?;
+            let poses = match self.follower.newest() {
+                Ok(poses) => poses,
+                Err(none) if self.clock.now() - began > MAX_POSE_WAIT => {
+                    bail!("{none}, after 30 s")
+                }
+                Err(none) => {
+                    self.say(&none);
+                    thread::sleep(POLL_INTERVAL);
+                    continue;
+                }
+            };
+            self.is_lost = false;
+            let tool = |(tool, pose): (&FollowedTool, eddy_mpm::Pose)| {
+                let eddy_frames::tool::Tool { name, shape, contact } = tool.body();
+                let angle_degrees = pose.angle.to_degrees();
+                let start = Keyframe { time: 0.0, position: pose.position, angle_degrees };
+                Tool { name, shape, contact, keyframes: vec![start] }
+            };
+            return Ok(Some(self.tools.iter().zip(poses).map(tool).collect()));
+        }
+        Ok(None)
+    }
+
+    /// Moves the tools of a simulation to their newest poses until its next frame; they rest while one of them has none.
+    pub(super) fn steer(&mut self, simulation: &mut Simulation) -> anyhow::Result<()> {
+        self.receive()?;
+        match self.follower.newest() {
+            Ok(poses) => {
+                self.is_lost = false;
+                Ok(simulation.move_tools(&poses)?)
+            }
+            Err(none) => {
+                self.say(&none);
+                Ok(simulation.move_tools(&simulation.poses())?)
+            }
+        }
+    }
+
+    /// Takes in what has arrived.
+    fn receive(&mut self) -> anyhow::Result<()> {
+        self.inputs.drain(&mut self.follower, self.clock.now())?;
+        for warning in self.follower.warnings() {
+            tracing::warn!("{warning}");
+        }
+        Ok(())
+    }
+
+    /// Says once that a tool has no pose, until all have.
+    fn say(&mut self, none: &dyn std::fmt::Display) {
+        if !self.is_lost {
+            tracing::warn!("{none}");
+        }
+        self.is_lost = true;
+    }
+}
