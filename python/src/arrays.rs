@@ -66,6 +66,7 @@ impl<'py, T: Element> Argument<'py, T> {
         let array = numpy_array(name, value)?;
         let Ok(array) = array.cast::<PyArrayDyn<T>>() else {
             let expected = T::get_dtype(array.py());
+            let expected = format!("{expected}: {name}.astype('{expected}')");
             return Err(wrong(name, format!("dtype {}", array.dtype()), expected));
         };
         let shape = array.shape().to_vec();

@@ -23,9 +23,10 @@ pub struct BagArgs {
 pub enum BagCommand {
     /// Print topics, streams, size and times of a bag.
     Info {
-        /// Bag: a directory with metadata.yaml, or an MCAP file.
-        bag: PathBuf,
-        /// Print JSON instead of text.
+        /// Bags (a directory with metadata.yaml, or an MCAP file), or directories of bags.
+        #[arg(required = true, value_name = "BAG")]
+        bags: Vec<PathBuf>,
+        /// Print JSON instead of text: an object for each bag.
         #[arg(long)]
         json: bool,
     },

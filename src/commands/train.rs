@@ -247,7 +247,13 @@ fn introduce(config: &TrainConfig, dataset: &Dataset) {
         dataset.validation.len(),
         dataset.test.len(),
     );
-    println!("skill below: validation part, at frames 1 and {}", config.validation.horizon);
+    println!(
+        "unroll: frames predicted freely in training; validation: 0 is perfect, 1 as good as the"
+    );
+    println!(
+        "best trivial predictor; skill: validation part, frames 1 and {}",
+        config.validation.horizon
+    );
     if let Some(store) = dataset.frame_store() {
         println!("frames stay on disk, up to {} of them in memory", HumanBytes(store.limit()));
     }

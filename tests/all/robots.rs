@@ -3,7 +3,10 @@
 use std::{collections::BTreeMap, fs, process::Command, time::Duration};
 
 use eddy_bag::BagReader;
-use eddy_frames::{Domain, Frame, Material, Stamp, tool::ToolFrame as Moved};
+use eddy_frames::{
+    Domain, Frame, Material, Stamp,
+    tool::{ToolFrame as Moved, Tools},
+};
 use eddy_messages::{
     Header, Message, ParticleFrame, Point, Pose, PoseStamped, Quaternion, TFMessage,
     ToolDescription, ToolFrame, Transform, TransformStamped, Vector3, cdr,
@@ -25,6 +28,13 @@ pose = "cup/pose"
 name = "blade"
 shape.rectangle.size = [0.02, 0.3]
 frame = "blade_link"
+"#;
+/// A scene without tools, whose matter is far from where the cup moves.
+const SCENE: &str = r#"
+[[bodies]]
+material = "sand"
+shape.rectangle.size = [0.2, 0.1]
+position = [0.5, 0.15]
 "#;
 /// Frames of particles.
 const FRAMES: u64 = 12;
@@ -300,4 +310,66 @@ fn a_file_of_tools_that_cannot_be_used_is_refused() {
         let said = fail(1, ["tools", file.to_str().unwrap()]);
         assert!(said.contains("tools.toml") && said.contains(expected), "{said}");
     }
+}
+
+/// The tools that a live source has published so far, by the number of their frame.
+fn next_tools(poses: &mut dyn Subscriber, tools: &Tools) -> Moved {
+    receive::<ToolFrame>(poses).checked(tools).unwrap()
+}
+
+#[test]
+fn a_live_simulation_has_the_tools_of_a_robot() {
+    let world = World::new("robots");
+    let mut poses = world.subscriber("zenoh", "tools", ToolFrame::TYPE);
+    let mut description = world.subscriber("zenoh", "tools/description", ToolDescription::TYPE);
+    let mut cup = world.publisher("zenoh", "cup/pose", PoseStamped::TYPE);
+    let [scene, file] = ["scene.toml", "tools.toml"].map(|name| world.folder.path().join(name));
+    fs::write(&scene, SCENE).unwrap();
+    let topic = world.topic("cup/pose");
+    fs::write(
+        &file,
+        format!("[[tools]]\nname = \"cup\"\nshape.disc.radius = 0.05\npose = {topic:?}"),
+    )
+    .unwrap();
+    let mut program = talking_eddy();
+    program.env("ZENOH_CONFIG_OVERRIDE", &world.overrides).arg("simulate");
+    program.arg("--scene").arg(&scene).arg("--tools").arg(&file);
+    let link = world.link("zenoh", "particles").to_string();
+    program.args(["--duration", "600", "--reliability", "drop", "--publish", &link]);
+    let log = world.folder.path().join("log");
+    let mut source =
+        Process::start_until(program.stderr(fs::File::create(&log).unwrap()), "publishing on");
+    let mut publish = |x: f64, z: f64| {
+        let position = Point { x, y: 0.7, z };
+        let pose = Pose { position, orientation: turned(0.0) };
+        let header = Header::world(Stamp((1e9 * (x + z)) as i64));
+        cup.publish_cdr(&cdr::encode(&PoseStamped { header, pose })).unwrap();
+    };
+    // It begins with the first pose, whenever that comes.
+    wait_for("the pose is waited for", || {
+        fs::read_to_string(&log).unwrap().contains("found no pose yet, expected").then_some(())
+    });
+    publish(0.3, 0.0);
+    let tools = receive::<ToolDescription>(&mut *description).checked().unwrap();
+    let first = next_tools(&mut *poses, &tools);
+    assert_eq!((first.sequence, first.states[0].pose.position), (0, [0.3, 0.7]));
+    publish(0.31, 0.0);
+    let mut reach = |x: f32| {
+        wait_for("the cup is there", || {
+            let frame = next_tools(&mut *poses, &tools);
+            (frame.states[0].pose.position == [x, 0.7]).then_some(frame)
+        })
+    };
+    let arrived = reach(0.31);
+    assert_eq!(arrived.wrenches.len(), 1, "what matter does to it is said");
+    // Out of the plane it rests, and goes on with the next pose.
+    publish(0.32, 0.5);
+    wait_for("the pose is refused", || {
+        let log = fs::read_to_string(&log).unwrap();
+        log.contains("found 0.5 out of the plane").then_some(())
+    });
+    publish(0.93, 0.0);
+    reach(0.93);
+    source.interrupt();
+    assert!(source.wait().success());
 }

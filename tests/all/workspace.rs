@@ -62,9 +62,8 @@ const WITHOUT: [(&str, &[&str]); 7] = [
 const PROGRAMS: [&str; 2] = ["eddy-surrogates", "eddy-lab"];
 
 /// Pages and pictures that guide through the source.
-const GUIDES: [&str; 5] = [
+const GUIDES: [&str; 4] = [
     "CONTRIBUTING.md",
-    "docs/src/background/how_it_works.md",
     "docs/src/background/source.md",
     "docs/src/pictures/frame_path.svg",
     "docs/src/pictures/training_batch.svg",

@@ -1,8 +1,8 @@
 """Scenes that are at rest first, as scene files of `eddy simulate --scene`: heaps and columns that collapse, or stand.
 
-    columns.py OUTPUT SCENES [--seed 1]
+    columns.py OUTPUT SCENES [--seed 1] [--materials sand]
 
-Each has one or two rectangles of liquid, snow or jelly, standing on the floor, that fill .1 to .4 of the unit square between the walls; every
+Each has one or two rectangles of liquid, snow or jelly (or --materials), standing on the floor, that fill .1 to .4 of the unit square between the walls; every
 other scene has E = 1e3, the rest 3e2 to 3e5. `kinds`, whose bodies are thrown, has no such beginning.
 """
 
@@ -16,7 +16,7 @@ MATERIALS = ("liquid", "snow", "jelly")
 INSIDE = 1 - 2 * WALL
 
 
-def columns(generator: random.Random) -> list[str]:
+def columns(generator: random.Random, materials: list[str]) -> list[str]:
     """One or two columns, side by side."""
     count = generator.choice((1, 1, 2))
     area = generator.uniform(0.1, 0.4) * INSIDE**2 / count
@@ -29,7 +29,7 @@ def columns(generator: random.Random) -> list[str]:
         # At the wall, as in a dam break, or anywhere.
         gap = generator.choice((0.0, free, generator.uniform(0, free)))
         centre = (left + gap + width / 2, WALL + height / 2)
-        bodies.append(body(generator.choice(MATERIALS), {"rectangle": {"size": [width, height]}}, centre))
+        bodies.append(body(generator.choice(materials), {"rectangle": {"size": [width, height]}}, centre))
         left = WALL + (number + 1) * INSIDE / count
     return bodies
 
@@ -39,6 +39,7 @@ def main() -> None:
     parser.add_argument("output", type=Path, help="folder for the scene files, which must not exist")
     parser.add_argument("scenes", type=int, help="number of scenes")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--materials", nargs="+", default=MATERIALS, help="what the rectangles are of")
     options = parser.parse_args()
     if options.output.exists():
         parser.error(f"{options.output}: found a file or folder, expected none")
@@ -47,7 +48,7 @@ def main() -> None:
     for number in range(options.scenes):
         stiffness = 1e3 if number % 2 == 0 else 10 ** generator.uniform(2.5, 5.5)
         head = f"id = {100_000 * options.seed + number}\nframes.duration = 4.8\nmaterials.stiffness = {stiffness:.6g}\nmaterials.law = \"settling\""
-        text = "\n\n".join((head, *columns(generator))) + "\n"
+        text = "\n\n".join((head, *columns(generator, options.materials))) + "\n"
         (options.output / f"column_{number:03}.toml").write_text(text)
 
 

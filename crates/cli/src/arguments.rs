@@ -25,9 +25,25 @@ pub struct GlobalArgs {
         hide_env_values = true,
         // RustDDS logs normal events as errors, such as participants that appear and disappear.
         default_value = "warn,zenoh=error,iceoryx2_bb_loggers=error,rustdds=off,ros2_client=error",
-        env = "EDDY_LOG"
+        env = "EDDY_LOG",
+        value_parser = log_filter
     )]
     pub log_level: String,
+}
+
+/// Levels of the log; RFC 5424 and ROS 2 have further names.
+const LEVELS: [&str; 6] = ["off", "error", "warn", "info", "debug", "trace"];
+
+/// A filter of the log. A single word that is no level would be the name of a part of the program, of which all would be logged.
+fn log_filter(text: &str) -> Result<String, String> {
+    for directive in text.split(',') {
+        let level = directive.rsplit_once('=').map_or(directive, |(_, level)| level);
+        if !LEVELS.iter().any(|known| known.eq_ignore_ascii_case(level)) {
+            let levels = LEVELS.join(", ");
+            return Err(format!("found {level:?}, expected one of {levels}"));
+        }
+    }
+    Ok(text.to_owned())
 }
 
 /// A command, and its examples.
@@ -94,21 +110,31 @@ fn with_examples(command: Command, examples: &[Examples]) -> Command {
     })
 }
 
-/// A command for a terminal of 80 columns, continued with `\` as in a shell.
+/// A command for a terminal of 80 columns, continued with `\` as in a shell: before options, which keep their values beside them.
 fn wrapped(line: &str) -> String {
     /// Columns without the indentation and the backslash.
     const COLUMNS: usize = 74;
-    let (mut text, mut length) = (String::new(), 0);
+    let mut options: Vec<String> = Vec::new();
     for word in line.split(' ') {
-        if length > 0 && length + 1 + word.len() > COLUMNS {
+        match options.last_mut() {
+            // What is too long for a line is broken where it must be.
+            Some(option) if !word.starts_with('-') && option.len() + word.len() < COLUMNS => {
+                *option = format!("{option} {word}");
+            }
+            _ => options.push(word.to_owned()),
+        }
+    }
+    let (mut text, mut length) = (String::new(), 0);
+    for option in options {
+        if length > 0 && length + 1 + option.len() > COLUMNS {
             text.push_str(" \\\n     ");
             length = 4;
         }
         if length > 0 {
             text.push(' ');
         }
-        text.push_str(word);
-        length += 1 + word.len();
+        text.push_str(&option);
+        length += 1 + option.len();
     }
     text
 }
@@ -117,5 +143,29 @@ fn under(command: Command, path: &[&str], text: &str) -> Command {
     match path {
         [] => command.after_long_help(text.to_owned()),
         [first, rest @ ..] => command.mut_subcommand(first, |inner| under(inner, rest, text)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{log_filter, wrapped};
+
+    #[test]
+    fn examples_break_before_options() {
+        let line = "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine --data bags/mm --output reports/both";
+        let expected = "eddy eval --checkpoint checkpoints/particle-mingru checkpoints/mine \\\n      --data bags/mm --output reports/both";
+        assert_eq!(wrapped(line), expected);
+    }
+
+    #[test]
+    fn a_word_that_is_no_level_is_refused() {
+        for known in ["debug", "WARN", "off,eddy=info", "warn,zenoh=error,rustdds=off"] {
+            assert_eq!(log_filter(known), Ok(known.to_owned()));
+        }
+        for (text, found) in [("verbose", "verbose"), ("eddy=loud", "loud"), ("warn,eddy", "eddy")]
+        {
+            let error = log_filter(text).unwrap_err();
+            assert!(error.starts_with(&format!("found {found:?}, expected one of off, error")));
+        }
     }
 }

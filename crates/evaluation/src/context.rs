@@ -90,11 +90,15 @@ impl Context {
         }
     }
 
+    /// The trivial predictors that skill refers to.
+    pub(super) fn baselines(&self) -> &'static [Baseline] {
+        if self.has_tools { &Baseline::WITH_TOOLS } else { &Baseline::ALL }
+    }
+
     /// The predictors that every evaluation has beside its models: the baselines of skill first.
     pub(super) fn simple_predictors<'a>(&self) -> impl Iterator<Item = Predictor<'a>> + use<'a> {
         let fit = self.linear_fit.map(Predictor::LinearFit);
-        let baselines = if self.has_tools { &Baseline::WITH_TOOLS[..] } else { &Baseline::ALL };
-        let baselines = baselines.iter().map(|&baseline| Predictor::Baseline(baseline));
+        let baselines = self.baselines().iter().map(|&baseline| Predictor::Baseline(baseline));
         baselines.chain([Predictor::Mean]).chain(fit)
     }
 

@@ -128,7 +128,8 @@ pub enum EvalError {
     },
     /// Every stream is too short.
     #[error(
-        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict; choose a shorter horizon or longer scenes"
+        "streams: the longest has {found} frames, expected at least {expected}: {warm_up} to observe and {horizon} to predict; choose a shorter horizon or longer scenes (with these, --horizon {} at most)",
+        .found.saturating_sub(*.warm_up)
     )]
     TooShort {
         /// Frames of the longest stream.

@@ -67,9 +67,12 @@ impl Axis {
         if self.scale == Scale::Logarithmic {
             least = least.max(most - DECADES);
         }
+        if self.scale == Scale::Linear && least == 0.0 && most == 0.0 {
+            return Some([0.0, 1.0]);
+        }
         // A single number is centred.
         let single = match self.scale {
-            Scale::Linear => 0.5 * most.abs().max(f64::MIN_POSITIVE * 1e20),
+            Scale::Linear => 0.5 * most.abs(),
             Scale::Logarithmic => 0.5,
         };
         let extent = most - least;
@@ -235,6 +238,9 @@ mod tests {
         assert_eq!(log.coordinate(100.0), Some(2.0));
         assert_eq!(Axis::linear("y").coordinate(f64::NEG_INFINITY), None);
         assert_eq!(log.ends(std::iter::empty()), None);
+        let linear = Axis { scale: Scale::Linear, ..log.clone() };
+        assert_eq!(linear.ends([0.0, 0.0].into_iter()), Some([0.0, 1.0]));
+        assert_eq!(linear.ends([4.0].into_iter()), Some([2.0, 6.0]));
         assert_eq!(log.ends([-30.0, 2.0].into_iter()).map(|ends| ends[0] > -12.0), Some(true));
     }
 

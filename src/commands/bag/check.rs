@@ -4,17 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 
-use super::survey;
+use super::{bags_at, survey};
 use crate::commands::counted;
-use eddy_bag::{BagError, BagReader, Survey, find_bags};
+use eddy_bag::{BagReader, Survey};
 use eddy_cli::{Interrupt, terminal::on_one_line};
 
 /// Prints all problems of all bags.
 pub fn run(paths: &[PathBuf], quiet: bool, interrupt: &Interrupt) -> anyhow::Result<()> {
-    let mut bags = Vec::new();
-    for path in paths {
-        bags.extend(bags_at(path)?);
-    }
+    let bags = bags_at(paths)?;
     if let [only] = &bags[..] {
         return check(only, quiet);
     }
@@ -32,15 +29,6 @@ pub fn run(paths: &[PathBuf], quiet: bool, interrupt: &Interrupt) -> anyhow::Res
     match damaged {
         0 => Ok(()),
         _ => bail!("{damaged} of {} bags have problems", bags.len()),
-    }
-}
-
-/// The bag at a path, or the bags in a directory that is not a bag itself.
-fn bags_at(path: &Path) -> Result<Vec<PathBuf>, BagError> {
-    match BagReader::open(path) {
-        Err(none @ BagError::NotABag { .. }) => find_bags(&[path.into()]).map_err(|_| none),
-        Err(other) => Err(other),
-        Ok(_) => Ok(vec![path.into()]),
     }
 }
 

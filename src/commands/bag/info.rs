@@ -7,14 +7,24 @@ use std::{
 
 use serde::Serialize;
 
-use super::survey;
+use super::{bags_at, survey};
 use eddy_bag::{BagReader, Survey, TopicInfo, TopicSurvey};
 use eddy_cli::terminal::{self, on_one_line};
 use eddy_frames::{Stamp, date::Utc, decimal};
 use eddy_pages::Table;
 
-/// Prints files, topics and streams of a bag, as text or as JSON.
-pub fn run(path: &Path, json: bool, quiet: bool) -> anyhow::Result<()> {
+/// Prints files, topics and streams of bags, as text or as JSON.
+pub fn run(paths: &[PathBuf], json: bool, quiet: bool) -> anyhow::Result<()> {
+    for (index, bag) in bags_at(paths)?.iter().enumerate() {
+        if index > 0 && !json {
+            println!();
+        }
+        one(bag, json, quiet)?;
+    }
+    Ok(())
+}
+
+fn one(path: &Path, json: bool, quiet: bool) -> anyhow::Result<()> {
     let bag = BagReader::open(path)?;
     let survey = survey(&bag, quiet);
     if json {

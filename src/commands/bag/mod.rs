@@ -35,7 +35,7 @@ pub fn run(args: BagArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result<
         BagCommand::Reindex { bag } => reindex::run(&bag, quiet, interrupt),
         // Replaced by `eddy replay` and `eddy record` when the command line is read.
         BagCommand::Play(_) | BagCommand::Record(_) => Ok(()),
-        BagCommand::Info { bag, json } => info::run(&bag, json, quiet),
+        BagCommand::Info { bags, json } => info::run(&bags, json, quiet),
         BagCommand::Check { bags } => check::run(&bags, quiet, interrupt),
         BagCommand::Export(args) if args.cloud => edit::export_cloud(args, quiet, interrupt),
         BagCommand::Export(args) => export::run(args, quiet, interrupt),
@@ -63,6 +63,21 @@ fn report(bag: &BagSummary) {
     let names: BTreeSet<&str> = bag.topics.iter().map(|topic| topic.name.as_str()).collect();
     let topics = counted(names.len() as u64, "topic");
     println!("{}: {} messages on {topics}", bag.directory.display(), bag.messages);
+}
+
+/// The bags at these paths, and those in directories that are no bags themselves.
+fn bags_at(paths: &[PathBuf]) -> Result<Vec<PathBuf>, BagError> {
+    let mut bags = Vec::new();
+    for path in paths {
+        match BagReader::open(path) {
+            Err(none @ BagError::NotABag { .. }) => {
+                bags.extend(find_bags(std::slice::from_ref(path)).map_err(|_| none)?);
+            }
+            Err(other) => return Err(other),
+            Ok(_) => bags.push(path.clone()),
+        }
+    }
+    Ok(bags)
 }
 
 fn survey(bag: &BagReader, quiet: bool) -> Survey {

@@ -19,12 +19,18 @@ pub(super) struct Live {
     comparison: Comparison,
     joiner: StatusJoiner,
     monitor: Monitor,
+    /// Simulated time (s) and time at the last line.
+    last: Option<(f64, Duration)>,
 }
+
+/// Simulated time per real time below which the line says it.
+const SLOW: f64 = 0.95;
 
 impl Live {
     /// Starts at `now`.
     pub(super) fn start(comparison: Comparison, now: Duration) -> Self {
-        Self { comparison, joiner: StatusJoiner::default(), monitor: Monitor::start(now) }
+        let (joiner, monitor) = (StatusJoiner::default(), Monitor::start(now));
+        Self { comparison, joiner, monitor, last: None }
     }
 
     /// A prediction has arrived.
@@ -59,7 +65,15 @@ impl Live {
         let Some(time) = self.comparison.now() else {
             return "waiting for the first frame".to_owned();
         };
+        let pace = self.last.replace((time, now)).map(|(simulated, at)| {
+            let real = (now - at).as_secs_f64();
+            if real > 0.0 { (time - simulated) / real } else { 1.0 }
+        });
         let mut parts = vec![(1, format!("t = {time:6.2} s"))];
+        // Another scene may begin at an earlier time.
+        if let Some(pace) = pace.filter(|pace| (0.0..SLOW).contains(pace)) {
+            parts.push((4, format!("{pace:.1} x real time")));
+        }
         let Some(summary) = self.comparison.summary() else {
             parts.push((0, "warming up".to_owned()));
             return terminal::fit(&parts, SEPARATOR, columns);

@@ -43,12 +43,12 @@ pub fn run(args: EvalArgs, quiet: bool, interrupt: &Interrupt) -> anyhow::Result
     report.save(folder).with_context(|| format!("cannot write to {}", folder.display()))?;
     room.replaced();
     println!(
-        "{} over {}, compared for {} (divergence: {})",
+        "{} over {}, compared for {}",
         counted(report.windows as u64, "free rollout"),
         counted(report.streams as u64, "stream"),
         counted(report.horizon as u64, "frame"),
-        report.reach
     );
+    println!("rollouts go on to frame {} to find blow-ups", report.reach);
     print_report(&report, folder, args.tables);
     if !args.tables {
         println!("        with errors, physical measures and kinds of scenes, as does --tables");

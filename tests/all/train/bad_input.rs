@@ -49,7 +49,7 @@ fn validation_streams_shorter_than_a_rollout_are_refused_before_the_first_epoch(
     config.validation.horizon = 38;
     let message = run(&config, &dataset(), folder.path()).unwrap_err().to_string();
     let expected = "the longest has 40 frames, expected at least 41: 3 to observe and 38 to predict; \
-         choose a shorter horizon or longer scenes";
+         choose a shorter horizon or longer scenes (with these, --horizon 37 at most)";
     assert_eq!(message, format!("validation: streams: {expected}"));
     assert!(files(folder.path()).is_empty());
 }

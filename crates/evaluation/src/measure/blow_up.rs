@@ -62,20 +62,24 @@ pub(super) struct Limits {
 }
 
 impl Limits {
-    /// For rollouts from the state `observed`, with the true states `truth` (at least one) after it.
+    /// For rollouts from frame `start` of a stream, with the true states `truth` (at least one) after it.
     pub(super) fn new(
         context: &Context,
-        observed: &State,
+        stream: &Stream,
+        start: usize,
         truth: &[State],
         energy_limit: f64,
     ) -> Self {
         let ahead = COMPARED.min(truth.len());
-        let error = |baseline: Baseline| {
-            let mut state = observed.clone();
-            (0..ahead).for_each(|_| baseline.step(&mut state, &context.ballistic, None));
+        let error = |baseline: &Baseline| {
+            let mut state = stream.states[start].clone();
+            for frame in start..start + ahead {
+                let sweep = stream.sweep(frame);
+                baseline.step(&mut state, &context.ballistic, sweep.as_ref());
+            }
             mean_squared_distance(&state.position, &truth[ahead - 1].position)
         };
-        let best = Baseline::ALL.map(error).into_iter().fold(f64::INFINITY, f64::min);
+        let best = context.baselines().iter().map(error).fold(f64::INFINITY, f64::min);
         let least = MIN_ERROR * f64::from(context.spacing);
         let squared_error = FAR_OFF * FAR_OFF * best.max(least * least);
         Self { ahead, squared_error, kinetic_energy: energy_limit }

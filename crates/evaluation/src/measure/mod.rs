@@ -175,7 +175,7 @@ impl<'a> TruthWindow<'a> {
         let observed = &stream.states[start];
         let end = stream.states.len().min(start + 1 + context.settings.horizon);
         let truth = &stream.states[start + 1..end];
-        let limits = blow_up::Limits::new(context, observed, truth, energy_limit);
+        let limits = blow_up::Limits::new(context, stream, start, truth, energy_limit);
         let Some(rest) = rest else {
             let (shown, centres) = (Vec::new(), Vec::new());
             return Self { truth, observed, limits, settled: false, shown, centres };

@@ -1,7 +1,7 @@
 //! What a report says of each model, in sentences.
 
 use super::{Entry, Report, Role, page::at, tables::rounded};
-use eddy_frames::counted;
+use eddy_frames::{counted, decimal};
 
 impl Report {
     /// Which of several models is best, at the frames of the verdicts; `None` for fewer than two.
@@ -60,19 +60,23 @@ impl Report {
                 .push(format!("Weakest in scenes of {}: {skill} at frame {last}.", kind.name()));
         }
         let all = counted(self.windows as u64, "rollout");
-        let far_off = entry.blow_ups.far_off;
+        let far_off = match entry.blow_ups.far_off {
+            0 => "none ends".to_owned(),
+            1 => "1 ends".to_owned(),
+            count => format!("{count} end"),
+        };
         let blow_up = match entry.blow_ups.any {
             0 => format!("None of {all} blows up"),
             1 => format!("1 of {all} blows up"),
             count => format!("{count} of {all} blow up"),
         };
         sentences.push(format!(
-            "{blow_up} (three times the largest kinetic energy of the truth), {far_off} end far off (four times the error of the best trivial predictor)."
+            "{blow_up} (three times the largest kinetic energy of the truth), {far_off} far off (four times the error of the best trivial predictor)."
         ));
         if let Some(cost) = &entry.cost {
             sentences.push(format!(
-                "A frame of {:.3} ms takes {:.2} ms on one thread.",
-                1e3 * self.dt,
+                "A frame ({} ms) takes {:.2} ms on one thread.",
+                decimal(1e3 * self.dt),
                 cost.p50
             ));
         }

@@ -6,7 +6,7 @@ use std::{io, path::PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The directory has no checkpoint.
-    #[error("{}: not a checkpoint (no model.toml)", directory.display())]
+    #[error("{}: found no model.toml, expected a checkpoint: a directory that has one, or particle-mingru, the shipped model", directory.display())]
     NoCheckpoint {
         /// The directory.
         directory: PathBuf,

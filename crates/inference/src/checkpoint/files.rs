@@ -78,7 +78,8 @@ pub(super) fn read(directory: &Path) -> Result<(String, Vec<u8>), CheckpointErro
     if !directory.exists() && REPLACED.iter().any(has_name) {
         return Err(CheckpointError::Replaced { directory: directory.to_owned() });
     }
-    if directory.is_dir() && !description.exists() {
+    let is_name = directory.components().count() == 1 && !directory.exists();
+    if is_name || directory.is_dir() && !description.exists() {
         return Err(CheckpointError::NoCheckpoint { directory: directory.to_owned() });
     }
     let text = fs::read_to_string(&description).map_err(|reason| failed(&description, reason))?;

@@ -314,7 +314,10 @@ fn truncated_weights_are_rejected() {
 #[test]
 fn a_directory_without_a_checkpoint_is_named() {
     let message = rejection(|folder| fs::remove_file(folder.join(DESCRIPTION_FILE)).unwrap());
-    assert_eq!(message, "x: not a checkpoint (no model.toml)");
+    assert_eq!(
+        message,
+        "x: found no model.toml, expected a checkpoint: a directory that has one, or particle-mingru, the shipped model"
+    );
 }
 
 /// Another checkpoint of the same shapes.

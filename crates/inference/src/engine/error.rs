@@ -27,7 +27,9 @@ pub enum ModelError {
         expected: usize,
     },
     /// The frame contains a material that the training data did not have.
-    #[error("material[{particle}]: found {found}, expected one of {expected} as in the checkpoint")]
+    #[error(
+        "material[{particle}]: found {found}, expected one of {expected} as in the checkpoint: use one that knows it, or train on such data"
+    )]
     Material {
         /// First particle of that material.
         particle: usize,

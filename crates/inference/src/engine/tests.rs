@@ -203,7 +203,7 @@ fn particles_that_a_network_cannot_predict_are_rejected() {
     let message = rejection(Architecture::Frame, fewer);
     assert_eq!(message, "particles: found 6, expected 7 as in the checkpoint");
     let message = rejection(Architecture::Particle, |frame| frame.material[2] = Material::Snow);
-    let expected = "expected one of liquid, jelly, rope as in the checkpoint";
+    let expected = "expected one of liquid, jelly, rope as in the checkpoint: use one that knows it, or train on such data";
     assert_eq!(message, format!("material[2]: found snow, {expected}"));
     let message = rejection(Architecture::Particle, |frame| frame.dt = 0.02);
     assert!(

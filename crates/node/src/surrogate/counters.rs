@@ -40,7 +40,7 @@ pub struct Counters {
     pub not_finite: u64,
     /// Frames whose `dt` is not positive or differs from the checkpoint's.
     pub wrong_interval: u64,
-    /// Frames whose particles or domain do not fit the model.
+    /// Frames with a material, a number of particles or a domain that the model does not predict.
     pub wrong_particles: u64,
     /// Frames with particles far outside of their domain.
     pub outside_domain: u64,

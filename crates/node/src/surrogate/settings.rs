@@ -109,7 +109,7 @@ node_settings! {
     max_expected_error: Option<f64> = None, Values::Number { range: 0.0..=1e6, unit: "domain lengths" }, CHANGEABLE,
         "Report WARN on /diagnostics if the position error of a prediction is expected to be larger; 0 never does; the checkpoint must be calibrated (eddy calibrate)";
     stiffness: Option<f64> = None, Values::Number { range: 0.0..=1e9, unit: "(density x velocity^2)" }, READ_ONLY,
-        "Young's modulus of all streams, for a checkpoint that is conditioned on the stiffness; 0 gives none: the checkpoint assumes one then, and eddy predict takes it from metadata.yaml of the bag or manifest.json beside it, if they state it";
+        "Young's modulus of all streams, for a checkpoint that is conditioned on the stiffness; 0: what the bag states (eddy predict), otherwise what the checkpoint assumes";
     queue: usize = 64, whole(1..=65_536, "frames"), READ_ONLY,
         "Frames that may wait for the model";
     cloud: bool = false, Values::Bool, READ_ONLY,
