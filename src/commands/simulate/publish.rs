@@ -1,6 +1,6 @@
 //! A live source: scenes one after the other, each a stream, with `/clock`.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use anyhow::{Context, bail, ensure};
 
@@ -62,17 +62,8 @@ pub(super) fn run(
         let mut frames = 0;
         let stop = || interrupt.requested();
         let mut cancelled = false;
-        let next = |simulation: &mut Simulation| -> anyhow::Result<_> {
-            if let (Some(live), true) = (&mut live, simulation.has_begun()) {
-                live.steer(simulation)?;
-            }
-            match simulation.next_frame_unless(&|| interrupt.requested()) {
-                Err(MpmError::Cancelled) => {
-                    cancelled = true;
-                    Ok(None)
-                }
-                frame => Ok(frame?),
-            }
+        let next = |simulation: &mut Simulation| {
+            next_frame(simulation, live.as_mut(), interrupt, &mut cancelled)
         };
         let complete = Pacer::steady(rate)
             .run(&mut simulation, next, stop, |frame, simulation| {
@@ -86,26 +77,48 @@ pub(super) fn run(
             .with_context(|| name.clone())?;
         let complete = complete && !cancelled;
         if !quiet {
-            let real = clock.now().as_secs_f64();
             let simulated = f64::from(frames) * f64::from(scene.start.scene.frames.interval);
-            let slow = real > 1.1 * simulated / rate && frames > MIN_PACE_FRAMES;
-            let slow = if slow { ", slower than requested" } else { "" };
-            println!("{name}: {frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}");
+            println!("{name}: {}", pace(frames, simulated, clock.now(), rate));
         }
         if !complete {
             topics.finish()?;
-        }
-        if !complete && store.is_some() {
-            bail!("interrupted: {name} is incomplete and was discarded");
-        }
-        if !complete {
-            return Ok(());
+            return match store {
+                Some(_) => bail!("interrupted: {name} is incomplete and was discarded"),
+                None => Ok(()),
+            };
         }
         if let (Some(store), Some(recording)) = (store, recording) {
             store.deliver(&recording.finish(&simulation)?)?;
         }
     }
     topics.finish()
+}
+
+/// The next frame, with the tools where messages say. None comes if it is interrupted.
+fn next_frame(
+    simulation: &mut Simulation,
+    live: Option<&mut LiveTools>,
+    interrupt: &Interrupt,
+    cancelled: &mut bool,
+) -> anyhow::Result<Option<Frame>> {
+    if let (Some(live), true) = (live, simulation.has_begun()) {
+        live.steer(simulation)?;
+    }
+    match simulation.next_frame_unless(&|| interrupt.requested()) {
+        Err(MpmError::Cancelled) => {
+            *cancelled = true;
+            Ok(None)
+        }
+        frame => Ok(frame?),
+    }
+}
+
+/// How many frames of a scene took how long.
+fn pace(frames: u32, simulated: f64, real: Duration, rate: f64) -> String {
+    let real = real.as_secs_f64();
+    let slow = real > 1.1 * simulated / rate && frames > MIN_PACE_FRAMES;
+    let slow = if slow { ", slower than requested" } else { "" };
+    format!("{frames} frames, {simulated:.1} s simulated in {real:.1} s{slow}")
 }
 
 /// The topics of a live source.
