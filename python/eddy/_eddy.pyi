@@ -96,7 +96,7 @@ class Scene:
     def __new__(cls, settings: dict[str, Any]) -> Scene: ...
     @staticmethod
     def generate(
-        preset: Literal["kinds", "multi-material", "fluid", "stiff", "push", "pour", "scoop"],
+        preset: Literal["kinds", "sand", "multi-material", "fluid", "stiff", "push", "pour", "scoop"],
         *,
         seed: int = 0,
         id: int = 0,

@@ -202,7 +202,7 @@ pub(crate) fn evaluation_starts<'py>(
 
 /// Skill of predictions from any source, float64 [T]: 1 - e / e0 for each frame ahead, where e is the squared position error over all
 /// rollouts and particles, and e0 that of the best trivial predictor (persistence, constant velocity, ballistic with
-/// walls) from the same frames. `starts` are the W last observed frames; `truth` and `predicted` are positions, float32
+/// walls, without tools, which `evaluate` knows) from the same frames. `starts` are the W last observed frames; `truth` and `predicted` are positions, float32
 /// [W, T, N, 2]. Gravity is in domain lengths per s^2.
 #[pyfunction]
 #[pyo3(signature = (starts, truth, predicted, *, gravity=[0.0, -9.8]))]

@@ -43,7 +43,7 @@ def test_the_page_on_one_s_own_simulation_is_followed(tmp_path: Path) -> None:
             subprocess.run(short, shell=True, check=True, cwd=tmp_path, env=environment, timeout=300)
             ran += 1
     assert ran == 6, blocks
-    for bag in ("cloud", "unseen", "imported"):
+    for bag in ("cloud", "cloud_unseen", "imported"):
         assert subprocess.run([programs / "eddy", "bag", "info", next((tmp_path / "bags" / bag).iterdir())]).returncode == 0
     assert (tmp_path / "reports" / "cloud" / "report.html").exists()
 

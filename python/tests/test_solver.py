@@ -86,8 +86,8 @@ def test_tools_move_by_hand_and_say_what_pushes_them() -> None:
 
 
 def test_an_unknown_preset_is_named() -> None:
-    with pytest.raises(ValueError, match="preset: unknown variant `sand`, expected one of"):
-        eddy.Scene.generate("sand")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="preset: unknown variant `gravel`, expected one of"):
+        eddy.Scene.generate("gravel")  # type: ignore[arg-type]
 
 
 def test_energy_and_displacement() -> None:

@@ -339,9 +339,9 @@ fn a_live_simulation_has_the_tools_of_a_robot() {
     let log = world.folder.path().join("log");
     let mut source =
         Process::start_until(program.stderr(fs::File::create(&log).unwrap()), "publishing on");
-    let mut publish = |x: f64, z: f64| {
+    let mut publish = |x: f64, z: f64, angle: f64| {
         let position = Point { x, y: 0.7, z };
-        let pose = Pose { position, orientation: turned(0.0) };
+        let pose = Pose { position, orientation: turned(angle) };
         let header = Header::world(Stamp((1e9 * (x + z)) as i64));
         cup.publish_cdr(&cdr::encode(&PoseStamped { header, pose })).unwrap();
     };
@@ -349,11 +349,11 @@ fn a_live_simulation_has_the_tools_of_a_robot() {
     wait_for("the pose is waited for", || {
         fs::read_to_string(&log).unwrap().contains("found no pose yet, expected").then_some(())
     });
-    publish(0.3, 0.0);
+    publish(0.3, 0.0, 3.1);
     let tools = receive::<ToolDescription>(&mut *description).checked().unwrap();
     let first = next_tools(&mut *poses, &tools);
     assert_eq!((first.sequence, first.states[0].pose.position), (0, [0.3, 0.7]));
-    publish(0.31, 0.0);
+    publish(0.31, 0.0, -3.1);
     let mut reach = |x: f32| {
         wait_for("the cup is there", || {
             let frame = next_tools(&mut *poses, &tools);
@@ -362,13 +362,15 @@ fn a_live_simulation_has_the_tools_of_a_robot() {
     };
     let arrived = reach(0.31);
     assert_eq!(arrived.wrenches.len(), 1, "what matter does to it is said");
+    let spin = f64::from(arrived.states[0].spin);
+    assert!((spin * 0.016 - (std::f64::consts::TAU - 6.2)).abs() < 1e-3, "the shorter way: {spin}");
     // Out of the plane it rests, and goes on with the next pose.
-    publish(0.32, 0.5);
+    publish(0.32, 0.5, 0.0);
     wait_for("the pose is refused", || {
         let log = fs::read_to_string(&log).unwrap();
         log.contains("found 0.5 out of the plane").then_some(())
     });
-    publish(0.93, 0.0);
+    publish(0.93, 0.0, -3.1);
     reach(0.93);
     source.interrupt();
     assert!(source.wait().success());

@@ -78,7 +78,10 @@ impl LiveTools {
         match self.follower.newest() {
             Ok(poses) => {
                 self.is_lost = false;
-                Ok(simulation.move_tools(&poses)?)
+                // Messages have angles of at most half a turn; a tool turns the shorter way.
+                let from = simulation.poses();
+                let poses = poses.into_iter().zip(from).map(|(to, from)| to.nearest_to(from));
+                Ok(simulation.move_tools(&poses.collect::<Vec<_>>())?)
             }
             Err(none) => {
                 self.say(&none);
