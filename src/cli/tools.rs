@@ -11,7 +11,7 @@ use eddy_transport::{Link, Reliability};
 /// `eddy tools`
 #[derive(Debug, Args)]
 pub struct ToolsArgs {
-    /// TOML file with [[tools]]: name, shape and contact as in scenes, and pose = TOPIC (geometry_msgs/msg/PoseStamped) or
+    /// TOML file with `[[tools]]`: name, shape and contact as in scenes, and pose = TOPIC (geometry_msgs/msg/PoseStamped) or
     /// frame = FRAME (on /tf and /tf_static).
     pub file: PathBuf,
     /// Link of the frames of particles; poses come from its transport [default: /particles in the namespace of --ros-args].
