@@ -361,7 +361,7 @@ fn a_live_simulation_has_the_tools_of_a_robot() {
         })
     };
     let arrived = reach(0.31);
-    assert_eq!(arrived.wrenches.len(), 1, "what matter does to it is said");
+    assert_eq!(arrived.wrenches.len(), 1, "the wrench of the tool is published");
     let spin = f64::from(arrived.states[0].spin);
     assert!((spin * 0.016 - (std::f64::consts::TAU - 6.2)).abs() < 1e-3, "the shorter way: {spin}");
     // Out of the plane it rests, and goes on with the next pose.

@@ -6,11 +6,11 @@ use anyhow::{Context as _, bail};
 
 use crate::commands::POLL_INTERVAL;
 use eddy_cli::Interrupt;
-use eddy_frames::clock::Clock;
+use eddy_frames::{clock::Clock, tool};
 use eddy_mpm::{Keyframe, Simulation, Tool};
 use eddy_node::{
     ros::RosNode,
-    tools::{FollowedTool, ToolFollower, ToolInputs, ToolsFile},
+    tools::{ToolFollower, ToolInputs, ToolsFile},
 };
 use eddy_settings as config;
 use eddy_transport::{Link, Transports};
@@ -20,7 +20,6 @@ const MAX_POSE_WAIT: Duration = Duration::from_secs(30);
 
 /// Tools, and the messages that say where they are.
 pub(super) struct LiveTools {
-    tools: Vec<FollowedTool>,
     follower: ToolFollower,
     inputs: ToolInputs,
     clock: Clock,
@@ -36,12 +35,11 @@ impl LiveTools {
         beside: &Link,
         ros: &RosNode,
     ) -> anyhow::Result<Self> {
-        let ToolsFile { tools } = config::load::<ToolsFile>(file)?.renamed(ros);
+        let content = config::load::<ToolsFile>(file)?.renamed(ros);
         let named = || file.display().to_string();
-        let content = ToolsFile { tools: tools.clone() };
         let follower = ToolFollower::new(&content, Duration::ZERO).with_context(named)?;
         let inputs = ToolInputs::poses(transports, beside, &follower, ros)?;
-        Ok(Self { tools, follower, inputs, clock: Clock::start(), is_lost: false })
+        Ok(Self { follower, inputs, clock: Clock::start(), is_lost: false })
     }
 
     /// Waits until all tools have poses, and returns them there; `None` if interrupted.
@@ -61,13 +59,14 @@ impl LiveTools {
                 }
             };
             self.is_lost = false;
-            let tool = |(tool, pose): (&FollowedTool, eddy_mpm::Pose)| {
-                let eddy_frames::tool::Tool { name, shape, contact } = tool.body();
+            let tool = |(tool, pose): (tool::Tool, tool::Pose)| {
+                let tool::Tool { name, shape, contact } = tool;
                 let angle_degrees = pose.angle.to_degrees();
                 let start = Keyframe { time: 0.0, position: pose.position, angle_degrees };
                 Tool { name, shape, contact, keyframes: vec![start] }
             };
-            return Ok(Some(self.tools.iter().zip(poses).map(tool).collect()));
+            let tools = self.follower.tools(0).tools;
+            return Ok(Some(tools.into_iter().zip(poses).map(tool).collect()));
         }
         Ok(None)
     }

@@ -50,7 +50,7 @@ pub(super) enum PoseSource {
 
 impl FollowedTool {
     /// What it is, without its poses.
-    pub fn body(&self) -> tool::Tool {
+    pub(super) fn body(&self) -> tool::Tool {
         let Self { name, shape, contact, .. } = self.clone();
         tool::Tool { name, shape, contact }
     }

@@ -177,7 +177,8 @@ impl ToolFollower {
         let mut frames = Vec::new();
         while let Some(&(place, arrived)) = self.waiting.front() {
             let is_over = now.saturating_sub(arrived) >= self.wait;
-            let readings: Vec<_> = self.tools.iter().map(|tool| self.read(tool, place)).collect();
+            let readings: Vec<_> =
+                self.tools.iter().map(|tool| self.read(tool, place.stamp)).collect();
             let is_known = readings.iter().all(|it| matches!(it, Reading::Known(_)));
             if !is_known && !is_over && self.waiting.len() <= MAX_WAITING {
                 break;
@@ -193,9 +194,8 @@ impl ToolFollower {
     /// # Errors
     /// [`NoPose`] for the first that has none in the plane.
     pub fn newest(&self) -> Result<Vec<Pose>, NoPose> {
-        let place = FramePlace { stream: 0, sequence: 0, stamp: Stamp(i64::MAX) };
         let newest = |tool: &Followed| {
-            let pose = match self.read(tool, place) {
+            let pose = match self.read(tool, Stamp(i64::MAX)) {
                 Reading::Known(moving) | Reading::NotYet(moving, _) => state(&moving),
                 Reading::Missing(found, expected) => Err(InvalidTool::new("pose", found, expected)),
                 Reading::TooEarly(_) => unreachable!("no stamp is later"),
@@ -216,8 +216,8 @@ impl ToolFollower {
         self.waiting.front().map(|(_, arrived)| arrived.saturating_add(self.wait))
     }
 
-    /// Where a tool is at a frame.
-    fn read(&self, tool: &Followed, FramePlace { stamp, .. }: FramePlace) -> Reading {
+    /// Where a tool is at a time.
+    fn read(&self, tool: &Followed, stamp: Stamp) -> Reading {
         match &tool.source {
             PoseSource::Frame(frame) => self.tree.at(frame, &tool.parent, stamp),
             PoseSource::Topic(_) => match tool.track.at(stamp) {

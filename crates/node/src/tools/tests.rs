@@ -234,7 +234,7 @@ fn transforms_that_cannot_be_used_are_named_if_a_tool_depends_on_them() {
         let mut bad = transforms(["world", child], 5, 0.0, 0.0);
         bad.transforms[0].transform.translation.x = numbers[0];
         bad.transforms[0].transform.rotation.w = numbers[1];
-        // At another time, so that it is said.
+        // Later, so that the warning is not suppressed.
         let now = START + Duration::from_secs(if numbers[1] == 0.0 { 20 } else { 0 });
         cup.on_transforms(&bad, false, now);
         let warnings = cup.warnings();

@@ -7,7 +7,7 @@ use eddy_frames::Stamp;
 use super::rigid::{Moving, Rigid};
 
 /// How long poses are kept after a newer one (ns), as in tf2: frames may be that much older than the newest pose. A pose that is further in the past
-/// begins anew, as in a bag that is played again.
+/// starts a new history, as when a bag is replayed.
 pub(super) const HISTORY: i64 = 10_000_000_000;
 /// Maximum number of poses that are kept.
 const MAX_POSES: usize = 2048;

@@ -194,7 +194,7 @@ mod tests {
         let [next, later] = [Stamp(NOW.0 + 1), Stamp(NOW.0 + 2)];
         tree.add(["world", "base"], next, at(0.0, 1.0, 0.0), false).unwrap();
         assert_eq!(tree.at("cup", "world", later), Reading::NotYet(held, NOW));
-        // Under another parent it begins anew.
+        // A new parent starts a new history.
         tree.add(["map", "base"], NOW, at(0.0, 1.0, 0.0), false).unwrap();
         let found = missing(tree.at("cup", "world", NOW));
         assert_eq!(found, "only cup, base, map (each in the next)");
